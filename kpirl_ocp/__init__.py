@@ -1,0 +1,41 @@
+"""Learn a cost over keypoints from demonstrations, and plan with it.
+
+    outer (IRL):   min_psi  L(tau(psi), tau_demo)
+    inner (OCP):   tau(psi) = argmin_u  C_psi(rollout(s0, u, f), z_goal)
+
+State a problem with `OCP`, solve it with a solver, differentiate through it with a hypergradient, learn with `learn`.
+"""
+
+from kpirl_ocp.irl.finite_difference import FiniteDifference
+from kpirl_ocp.irl.implicit import Implicit
+from kpirl_ocp.irl.unrolled import Truncated, Unrolled
+from kpirl_ocp.ocp.costs import RBF, Default, KeypointCost, TimeDependent, Weighted
+from kpirl_ocp.ocp.gradient_descent import GradientDescent
+from kpirl_ocp.ocp.ipopt import Ipopt
+from kpirl_ocp.ocp.keypoint_planning import keypoint_ocp, keypoint_state
+from kpirl_ocp.ocp.kinematics import Keypoint, Robot
+from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.types import Demonstration, Solution, Status, Trajectory
+
+__all__ = [
+    "OCP",
+    "RBF",
+    "Default",
+    "Demonstration",
+    "FiniteDifference",
+    "GradientDescent",
+    "Implicit",
+    "Ipopt",
+    "Keypoint",
+    "KeypointCost",
+    "Robot",
+    "Solution",
+    "Status",
+    "TimeDependent",
+    "Trajectory",
+    "Truncated",
+    "Unrolled",
+    "Weighted",
+    "keypoint_ocp",
+    "keypoint_state",
+]

@@ -1,0 +1,1 @@
+"""Inverse reinforcement learning: hypergradients, the learning loop, baselines and evaluation."""

@@ -1,0 +1,69 @@
+"""Keypoint problems: the general OCP with states s = (z, theta, theta_dot) and joint displacements as actions.
+
+Ground-truth dynamics (the paper's simulation study and appendix A.1, with kinematics in the place of the network):
+
+    theta_{t+1} = theta_t + u_t,    theta_dot_{t+1} = theta_dot_t,    z_{t+1} = keypoints(theta_{t+1})
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.costs import KeypointCost
+from kpirl_ocp.ocp.kinematics import Robot
+from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.types import Array
+
+
+def keypoint_ocp(
+    robot: Robot,
+    cost: KeypointCost,
+    horizon: int,
+    *,
+    unit: float = 1.0,
+    joint_limits: bool = True,
+    max_displacement: float = np.inf,
+) -> OCP:
+    """Plan keypoints of `robot` to the goal z_goal, the context (3 K,), with ground-truth kinematics.
+
+    unit: length of one keypoint unit [m]; 0.01 gives keypoints in centimetres.
+    joint_limits: bound theta by the limits of the URDF.
+    max_displacement: largest |u| per step and joint [rad].
+    """
+    if not unit > 0 or not max_displacement > 0:
+        raise ProblemError(f"unit and max_displacement must be positive, got {unit!r} and {max_displacement!r}.")
+    n_z, n_q = 3 * robot.n_keypoints, robot.n_joints
+    schedule = cost.schedule(horizon)
+    state, action = ca.SX.sym("s", n_z + 2 * n_q), ca.SX.sym("u", n_q)
+    psi = ca.SX.sym("psi", cost.n_parameters(horizon, n_z))
+    goal, stage = ca.SX.sym("goal", n_z), ca.SX.sym("d", schedule.shape[1])
+    z, theta, velocity = state[:n_z], state[n_z : n_z + n_q], state[n_z + n_q :]
+    moved = theta + action
+    free = np.full(n_z, np.inf), np.full(n_q, np.inf)
+    limits = robot.joint_limits if joint_limits else (-free[1], free[1])
+    return OCP.from_expressions(
+        state=state,
+        action=action,
+        parameters=psi,
+        context=goal,
+        stage=stage,
+        dynamics=ca.vertcat(robot.keypoint_function(moved) / unit, moved, velocity),
+        stage_cost=cost.stage_cost(z, action, psi, goal, stage),
+        terminal_cost=cost.stage_cost(z, ca.SX.zeros(n_q), psi, goal, stage),
+        observation=z,
+        horizon=horizon,
+        action_bounds=(-max_displacement, max_displacement),
+        state_bounds=(np.hstack([-free[0], limits[0], -free[1]]), np.hstack([free[0], limits[1], free[1]])),
+        schedule=schedule,
+    )
+
+
+def keypoint_state(robot: Robot, theta: ArrayLike, unit: float = 1.0) -> Array:
+    """State (3 K + 2 n_joints,) of the arm at rest at theta (n_joints,) [rad]."""
+    theta = np.asarray(theta, float)
+    if theta.shape != (robot.n_joints,) or not np.isfinite(theta).all():
+        raise ProblemError(f"theta must be {robot.n_joints} finite joint positions, got {theta!r}.")
+    return np.concatenate([robot.locate(theta).ravel() / unit, theta, np.zeros(robot.n_joints)])

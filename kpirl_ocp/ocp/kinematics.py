@@ -1,0 +1,225 @@
+"""Symbolic forward kinematics of an arm, built from its Pinocchio model.
+
+The `pin` wheels carry no `pinocchio.casadi`, so the chain of transforms is written down here from the joint
+placements and axes of the `pin.Model` (Featherstone, Rigid Body Dynamics Algorithms, section 4):
+
+    oM_i = oM_parent(i) * placement_i * J_i(theta_i),   J_i a rotation about, or a translation along, a fixed axis.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from kpirl_ocp.errors import RobotError
+
+_REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
+_CONTINUOUS = ("JointModelRUBX", "JointModelRUBY", "JointModelRUBZ", "JointModelRevoluteUnboundedUnaligned")
+_PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
+
+# Corners of a held object in its link's frame [m]: the bottom of a bottle and two points at its shoulder.
+_OBJECT = ((0.0, 0.0, 0.10), (0.06, 0.0, 0.22), (0.0, 0.06, 0.22))
+
+
+@dataclass(frozen=True)
+class Keypoint:
+    """A point fixed to a link.
+
+    link: name of the link.
+    position: (3,) [m] in the link's frame.
+    """
+
+    link: str
+    position: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """An arm with keypoints on it: joint positions theta (n_joints,) [rad or m] to keypoints (n_keypoints, 3) [m].
+
+    Joint positions are Pinocchio's tangent coordinates: a continuous joint is one angle, not (cos, sin).
+    Build it with `from_urdf`, `iiwa` or `from_example_data`.
+    """
+
+    model: pin.Model
+    keypoints: tuple[Keypoint, ...]
+
+    @classmethod
+    def from_urdf(cls, path: str | Path, keypoints: Mapping[str, object] | tuple[Keypoint, ...] = ()) -> Robot:
+        """Read a URDF; `keypoints` are `Keypoint`s, or a mapping from link name to points (n, 3) [m].
+
+        Without keypoints the last link holds an object with three of them, not on one line.
+
+        Raises:
+            RobotError: the file cannot be read, a keypoint names a missing link, or a joint type is unknown.
+        """
+        model = _read_urdf(Path(path))
+        robot = cls(model, _as_keypoints(keypoints) or _object_held_by(_last_link(model)))
+        _check_joints(model)
+        for keypoint in robot.keypoints:
+            robot.frame_id(keypoint.link)
+        return robot
+
+    @classmethod
+    def iiwa(cls, keypoints: Mapping[str, object] | tuple[Keypoint, ...] = ()) -> Robot:
+        """The KUKA LBR iiwa of `pybullet_data` (located without importing PyBullet)."""
+        spec = importlib.util.find_spec("pybullet_data")
+        if spec is None or spec.origin is None:
+            raise RobotError("Robot.iiwa() reads its URDF from the package pybullet_data: pip install pybullet.")
+        return cls.from_urdf(Path(spec.origin).parent / "kuka_iiwa" / "model.urdf", keypoints)
+
+    @classmethod
+    def from_example_data(cls, name: str, keypoints: Mapping[str, object] | tuple[Keypoint, ...] = ()) -> Robot:
+        """An arm of the package example-robot-data by name, e.g. "panda" or "ur5"."""
+        files = _example_urdfs()
+        if name not in files:
+            raise RobotError(f"example-robot-data has no robot {name!r}; it has: {', '.join(sorted(files))}.")
+        return cls.from_urdf(files[name], keypoints)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joint coordinates."""
+        return self.model.nv
+
+    @property
+    def n_keypoints(self) -> int:
+        """Number of keypoints."""
+        return len(self.keypoints)
+
+    @cached_property
+    def joint_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper joint positions of the URDF, each (n_joints,); infinite for continuous joints."""
+        lower, upper = np.full(self.n_joints, -np.inf), np.full(self.n_joints, np.inf)
+        for joint in list(self.model.joints)[1:]:
+            if joint.shortname() not in _CONTINUOUS:
+                lower[joint.idx_v] = self.model.lowerPositionLimit[joint.idx_q]
+                upper[joint.idx_v] = self.model.upperPositionLimit[joint.idx_q]
+        return lower, upper
+
+    def frame_id(self, link: str) -> int:
+        """Index of a link in the Pinocchio model. Raises RobotError, listing the links, if there is none."""
+        if not self.model.existFrame(link, pin.FrameType.BODY):
+            links = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
+            raise RobotError(f"the robot {self.model.name!r} has no link {link!r}; its links are: {links}.")
+        return self.model.getFrameId(link, pin.FrameType.BODY)
+
+    def configuration(self, theta: np.ndarray) -> np.ndarray:
+        """Pinocchio's configuration q (nq,) of the joint positions theta (n_joints,)."""
+        return pin.integrate(self.model, pin.neutral(self.model), np.asarray(theta, float))
+
+    @cached_property
+    def keypoint_function(self) -> ca.Function:
+        """theta (n_joints,) -> keypoints (3 * n_keypoints,) [m], ordered x0 y0 z0 x1 ...; expanded to SX."""
+        theta = ca.SX.sym("theta", self.n_joints)
+        joints = _joint_placements(self.model, theta)
+        points = []
+        for keypoint in self.keypoints:
+            frame = self.model.frames[self.frame_id(keypoint.link)]
+            rotation, translation = joints[frame.parentJoint]
+            local = frame.placement.act(np.array(keypoint.position))
+            points.append(translation + rotation @ local)
+        return ca.Function("keypoints", [theta], [ca.vertcat(*points)], ["theta"], ["z"])
+
+    def link_function(self, link: str) -> ca.Function:
+        """theta (n_joints,) -> rotation (3, 3) and translation (3,) [m] of a link in the world frame."""
+        theta = ca.SX.sym("theta", self.n_joints)
+        frame = self.model.frames[self.frame_id(link)]
+        rotation, translation = _joint_placements(self.model, theta)[frame.parentJoint]
+        outputs = [rotation @ frame.placement.rotation, translation + rotation @ frame.placement.translation]
+        return ca.Function("link", [theta], outputs, ["theta"], ["rotation", "translation"])
+
+    def locate(self, theta: np.ndarray) -> np.ndarray:
+        """Keypoints (n_keypoints, 3) [m] at the joint positions theta (n_joints,)."""
+        return np.asarray(self.keypoint_function(theta)).reshape(self.n_keypoints, 3)
+
+
+def _joint_placements(model: pin.Model, theta: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
+    """World rotation (3, 3) and translation (3,) of every joint frame, the universe first."""
+    axes = _joint_axes(model)
+    placements = [(ca.SX.eye(3), ca.SX.zeros(3))]
+    for index in range(1, model.njoints):
+        fixed, joint = model.jointPlacements[index], model.joints[index]
+        parent_rotation, parent_translation = placements[model.parents[index]]
+        rotation = parent_rotation @ fixed.rotation
+        translation = parent_translation + parent_rotation @ fixed.translation
+        if joint.shortname() in _PRISMATIC:
+            translation = translation + rotation @ (axes[index] * theta[joint.idx_v])
+        else:
+            rotation = rotation @ _rotation_about(axes[index], theta[joint.idx_v])
+        placements.append((rotation, translation))
+    return placements
+
+
+def _rotation_about(axis: np.ndarray, angle: ca.SX) -> ca.SX:
+    """Rodrigues' formula R = I + sin(a) [n]x + (1 - cos(a)) [n]x^2 for a unit axis n (3,)."""
+    cross = ca.sparsify(ca.DM(pin.skew(axis)))
+    outer = ca.sparsify(ca.DM(np.outer(axis, axis)))
+    return outer + ca.cos(angle) * (ca.DM.eye(3) - outer) + ca.sin(angle) * cross
+
+
+def _joint_axes(model: pin.Model) -> list[np.ndarray]:
+    """Axis (3,) of every joint in its own frame: its column of the local Jacobian, which is constant."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    axes = [np.zeros(3)]
+    for index in range(1, model.njoints):
+        joint = model.joints[index]
+        jacobian = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)[:, joint.idx_v]
+        axis = jacobian[:3] if joint.shortname() in _PRISMATIC else jacobian[3:]
+        axes.append(np.where(np.abs(axis) < 1e-15, 0.0, axis))  # rounding of an axis-aligned joint
+    return axes
+
+
+def _check_joints(model: pin.Model) -> None:
+    known = _REVOLUTE + _CONTINUOUS + _PRISMATIC
+    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
+        if joint.shortname() not in known:
+            raise RobotError(
+                f"joint {name!r} is a {joint.shortname()}; revolute, continuous, prismatic and fixed joints are "
+                "supported. Fix or remove the joint in the URDF."
+            )
+
+
+def _read_urdf(path: Path) -> pin.Model:
+    if not path.is_file():
+        raise RobotError(f"there is no URDF file {path}.")
+    try:
+        return pin.buildModelFromUrdf(str(path))
+    except ValueError as error:
+        raise RobotError(f"{path} cannot be read as a URDF: {error}") from error
+
+
+def _as_keypoints(keypoints: Mapping[str, object] | tuple[Keypoint, ...]) -> tuple[Keypoint, ...]:
+    if not isinstance(keypoints, Mapping):
+        return tuple(keypoints)
+    result = []
+    for link, points in keypoints.items():
+        array = np.atleast_2d(np.asarray(points, float))  # (n, 3)
+        if array.ndim != 2 or array.shape[1] != 3 or not np.isfinite(array).all():
+            raise RobotError(f"keypoints of link {link!r} must be finite points (n, 3) [m], got {points!r}.")
+        result += [Keypoint(link, (x, y, z)) for x, y, z in array.tolist()]
+    return tuple(result)
+
+
+def _object_held_by(link: str) -> tuple[Keypoint, ...]:
+    return tuple(Keypoint(link, position) for position in _OBJECT)
+
+
+def _last_link(model: pin.Model) -> str:
+    return [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY][-1]
+
+
+def _example_urdfs() -> dict[str, Path]:
+    """Name -> URDF of every robot of example-robot-data, found beside Pinocchio (6.0.0 has no Python module)."""
+    roots = [parent / "share" / "example-robot-data" / "robots" for parent in Path(pin.__file__).parents]
+    root = next((root for root in roots if root.is_dir()), None)
+    if root is None:
+        raise RobotError("the package example-robot-data is not installed: pip install example-robot-data.")
+    return {path.stem.removesuffix("_robot"): path for path in sorted(root.rglob("*.urdf"))}

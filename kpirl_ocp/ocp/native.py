@@ -1,0 +1,71 @@
+"""Native code: a CasADi function compiled by the system's C compiler, cached by content.
+
+Without a compiler the function itself is returned (CasADi's virtual machine), with one warning for the process.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+import warnings
+from functools import lru_cache
+from pathlib import Path
+
+import casadi as ca
+
+# No -ffast-math: NaN must stay NaN, so that it can be detected.
+_FLAGS = ("-O2", "-march=native", "-fPIC", "-shared")
+
+
+def compiled(function: ca.Function) -> ca.Function:
+    """The same function as machine code; the function itself when there is no C compiler."""
+    compiler = _compiler()
+    if compiler is None:
+        return function
+    generator = ca.CodeGenerator(f"{function.name()}.c")
+    generator.add(function)
+    source = generator.dump()
+    key = "\0".join([source, compiler, _identity(compiler), *_FLAGS])
+    library = cache_directory() / f"{function.name()}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
+    if not library.exists():
+        _build(compiler, source, library)
+    return ca.external(function.name(), str(library))
+
+
+def cache_directory() -> Path:
+    """Where compiled code is kept: $XDG_CACHE_HOME/kpirl_ocp, by default ~/.cache/kpirl_ocp."""
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "kpirl_ocp"
+
+
+@lru_cache(maxsize=1)
+def _compiler() -> str | None:
+    path = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    if path is None:
+        warnings.warn(
+            "no C compiler (cc, gcc, clang) was found: everything runs on CasADi's virtual machine, "
+            "with the same results, several times slower.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    return path
+
+
+@lru_cache(maxsize=4)
+def _identity(compiler: str) -> str:
+    """Version and the processor that -march=native resolves to: a cache on a shared disk must not mix them."""
+    command = [compiler, "-march=native", "-E", "-dM", "-x", "c", os.devnull]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def _build(compiler: str, source: str, library: Path) -> None:
+    """Compile beside the target and rename: another process sees the whole library or none."""
+    library.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
+        code, built = Path(scratch) / "code.c", Path(scratch) / "code.so"
+        code.write_text(source)
+        subprocess.run([compiler, *_FLAGS, str(code), "-o", str(built), "-lm"], check=True, capture_output=True)
+        built.replace(library)

@@ -1,0 +1,147 @@
+"""The records that pass between the parts: plain frozen data, numpy float64, time first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kpirl_ocp.errors import ProblemError, SolveError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States and actions over a horizon of T steps.
+
+    states: (T+1, n_s).
+    actions: (T, n_u).
+    """
+
+    states: Array
+    actions: Array
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """What was seen of one demonstration, and what is known at its start.
+
+    s0: (n_s,) initial state.
+    context: (n_c,) known to the cost, e.g. the goal keypoints.
+    observations: (T+1, n_z) what the IRL loss compares with `OCP.observation` of the planned states.
+    """
+
+    s0: Array
+    context: Array
+    observations: Array
+
+    def __post_init__(self) -> None:
+        for name in ("s0", "context", "observations"):
+            value = np.asarray(getattr(self, name), float)
+            if not np.isfinite(value).all():
+                raise ProblemError(f"the demonstration's {name} must be finite; it holds NaN or infinity.")
+            object.__setattr__(self, name, value)
+
+
+class Status(Enum):
+    """How a solve ended; the value is the remedy."""
+
+    CONVERGED = "the KKT conditions hold to the solver's tolerance."
+    STEPS_TAKEN = (
+        "all gradient steps were taken, short of stationarity. Right for unrolled gradients; "
+        "for a converged OCP take more steps, another step size, or Ipopt."
+    )
+    ITERATION_LIMIT = "the iteration limit was reached. Raise max_iterations, or pass a better guess."
+    INFEASIBLE = "no feasible point was found nearby. Relax the bounds or path constraints, or pass another guess."
+    STALLED = "no further progress was possible. Rescale the problem, smooth its kinks, or pass another guess."
+    DIVERGED = "the iterates diverged. Use a smaller step size, or add effort weight so that a minimum exists."
+    NOT_FINITE = "a function returned NaN or infinity. Check dynamics and costs at the guess, and their parameters."
+    FAILED = "the solver gave up; its own message says why."
+
+    @property
+    def ok(self) -> bool:
+        """True when the solver did what it was asked to do."""
+        return self in (Status.CONVERGED, Status.STEPS_TAKEN)
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """Lagrange multipliers; Lagrangian = J + dynamics.(f(s, u) - s_next) + state.s + action.u + path.h.
+
+    dynamics: (T, n_s) costates; row t belongs to s_{t+1} = f(s_t, u_t).
+    state: (T, n_s) bounds on s_1..s_T; positive pushes from the upper, negative from the lower bound.
+    action: (T, n_u) bounds on u_0..u_{T-1}; the same signs.
+    path: (T, n_h) of h <= 0; never negative at a solution.
+    """
+
+    dynamics: Array
+    state: Array
+    action: Array
+    path: Array
+
+
+@dataclass(frozen=True)
+class KKTResiduals:
+    """How far a point is from the first-order conditions; every entry is a largest absolute value.
+
+    stationarity: gradient of the Lagrangian.
+    feasibility: violation of dynamics, bounds and path constraints, in their own units.
+    complementarity: multiplier times slack, minus the barrier parameter.
+    sign: multipliers of the wrong sign.
+    scale: max(1, gradient of the objective, multipliers); `worst` is relative to it.
+    """
+
+    stationarity: float
+    feasibility: float
+    complementarity: float
+    sign: float
+    scale: float
+
+    @property
+    def worst(self) -> float:
+        """Feasibility, or the largest other residual over `scale`; NaN if any of them is."""
+        duals = np.array([self.stationarity, self.complementarity, self.sign]) / self.scale
+        return float(np.max(np.append(duals, self.feasibility)))
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A trajectory with the evidence of how good it is.
+
+    objective: value of the cost.
+    barrier: complementarity parameter tau of the problem that was solved; 0 for the problem itself.
+    message: the backend's own word for how it ended.
+    """
+
+    trajectory: Trajectory
+    multipliers: Multipliers
+    objective: float
+    residuals: KKTResiduals
+    status: Status
+    iterations: int
+    barrier: float = 0.0
+    message: str = ""
+
+    @property
+    def states(self) -> Array:
+        """(T+1, n_s)."""
+        return self.trajectory.states
+
+    @property
+    def actions(self) -> Array:
+        """(T, n_u)."""
+        return self.trajectory.actions
+
+    def raise_if_failed(self) -> Solution:
+        """Return self, or raise SolveError with the remedy when the status is not ok."""
+        if not self.status.ok:
+            raise SolveError(
+                f"{self.status.name}: {self.status.value} "
+                f"(KKT residual {self.residuals.worst:.1e} after {self.iterations} iterations; {self.message})"
+            )
+        return self
