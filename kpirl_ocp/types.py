@@ -105,7 +105,8 @@ class KKTResiduals:
     @property
     def worst(self) -> float:
         """Feasibility, or the largest other residual over `scale`; NaN if any of them is."""
-        duals = np.array([self.stationarity, self.complementarity, self.sign]) / self.scale
+        with np.errstate(invalid="ignore"):  # infinity over infinity is NaN, which is the answer
+            duals = np.array([self.stationarity, self.complementarity, self.sign]) / self.scale
         return float(np.max(np.append(duals, self.feasibility)))
 
 

@@ -1,0 +1,46 @@
+"""How well a cost does on demonstrations that it was not trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.irl.hypergradient import seen
+from kpirl_ocp.irl.loss import Loss, squared_distance
+from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.solver import Solver
+from kpirl_ocp.types import Array, Demonstration, Solution
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Per demonstration: the planned solutions, IRL losses (n,) and relative distances (n,)."""
+
+    solutions: tuple[Solution, ...]
+    losses: Array
+    relative_distances: Array
+
+
+def evaluate(
+    problem: OCP,
+    solver: Solver,
+    psi: ArrayLike,
+    demonstrations: Sequence[Demonstration],
+    loss: Loss = squared_distance,
+) -> Evaluation:
+    """Plan from the start of every demonstration with the cost psi, and compare."""
+    solutions = tuple(solver.solve(problem, demo.s0, psi, demo.context) for demo in demonstrations)
+    measure = loss(problem)
+    pairs = list(zip(solutions, demonstrations, strict=True))
+    losses = [float(measure(plan.states.T, plan.actions.T, seen(problem, demo))) for plan, demo in pairs]
+    distances = [relative_distance(np.array(problem.observe(plan.states.T)).T, demo) for plan, demo in pairs]
+    return Evaluation(solutions, np.array(losses), np.array(distances))
+
+
+def relative_distance(observations: Array, demonstration: Demonstration) -> float:
+    """|z_T - z_goal| / |z_0 - z_goal| of observations (T+1, n_z), z_goal the demonstration's end (appendix A.5)."""
+    goal = demonstration.observations[-1]
+    return float(np.linalg.norm(observations[-1] - goal) / np.linalg.norm(observations[0] - goal))

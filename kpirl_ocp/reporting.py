@@ -1,0 +1,69 @@
+"""What every script does around its work: readable errors, settings and versions beside the results, tables."""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kpirl_ocp.errors import KpirlError
+
+_PACKAGES = ("kpirl-ocp", "casadi", "pin", "numpy", "scipy")
+
+
+def run(main: Callable[[], None]) -> None:
+    """Run a script; an error that the user can mend is one line on stderr and exit code 2."""
+    try:
+        main()
+    except KpirlError as error:
+        sys.exit(_fail(str(error)))
+    except OSError as error:
+        sys.exit(_fail(f"{error.filename}: {error.strerror}"))
+
+
+def _fail(message: str) -> int:
+    print(f"error: {message}", file=sys.stderr)
+    return 2
+
+
+def output_directory(path: str | Path) -> Path:
+    """The directory, made if it does not exist."""
+    directory = Path(path)
+    directory.mkdir(parents=True, exist_ok=True)
+    return directory
+
+
+def write_metrics(directory: Path, settings: Mapping[str, Any], results: Mapping[str, Any]) -> Path:
+    """`metrics.json`: settings, versions and results."""
+    path = directory / "metrics.json"
+    versions = {"python": platform.python_version()} | {package: version(package) for package in _PACKAGES}
+    content = {"settings": settings, "versions": versions, "results": results}
+    path.write_text(json.dumps(content, indent=2, default=_plain) + "\n")
+    return path
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return str(value)
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Aligned columns, the first to the left, the others to the right."""
+    cells = [list(map(str, header)), *([_cell(value) for value in row] for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+
+    def line(row: Sequence[str]) -> str:
+        return "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
+
+    return "\n".join([line(cells[0]), "  ".join("-" * width for width in widths), *map(line, cells[1:])])
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,185 @@
+"""The family of keypoint costs against its formula, its time bases against their definition."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from kpirl_ocp import RBF, Default, Ipopt, KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp, keypoint_state
+from kpirl_ocp.errors import ProblemError
+
+T = 5
+ROBOT = Robot.from_example_data("ur5", {"tool0": [[0, 0, 0.1], [0.05, 0, 0.2]]})
+N_Z, N_Q = 6, 6
+PER_STEP = (0.3, 0.1, 1.2, 0.7, 2.0)
+BASES = (Weighted(), TimeDependent(), RBF(3), Default())
+MAPS = {  # the map g from numbers to weights, and weights that it can represent
+    "identity": (lambda x: x, [-2.0, 0.0, 1e-3, 1.0, 50.0]),
+    "softplus": (lambda x: np.logaddexp(0, x), [1e-6, 1e-3, 1.0, 50.0]),
+    "exp": (np.exp, [1e-6, 1e-3, 1.0, 50.0]),
+    "square": (np.square, [0.0, 1e-3, 1.0, 50.0]),
+}
+
+
+def test_weighted_basis_is_ones():
+    np.testing.assert_array_equal(Weighted().matrix(T), np.ones((T, 1)))
+
+
+def test_time_dependent_basis_is_the_identity():
+    np.testing.assert_array_equal(TimeDependent().matrix(T), np.eye(T))
+
+
+def test_default_basis_is_empty():
+    assert Default().matrix(T).shape == (T, 0)
+
+
+def test_rbf_kernels_are_uniform_peak_at_one_and_neighbours_cross_at_one_half():
+    basis = RBF(4).matrix(13)  # centres at t = 1, 5, 9, 13: crossings at 3, 7, 11
+    np.testing.assert_array_equal(np.argmax(basis, axis=0) + 1, [1, 5, 9, 13])
+    np.testing.assert_array_equal(np.max(basis, axis=0), np.ones(4))
+    for j, t in enumerate((3, 7, 11)):
+        np.testing.assert_allclose(basis[t - 1, j : j + 2], [0.5, 0.5], rtol=1e-15)
+
+
+def test_rbf_kernels_are_gaussians_also_between_the_steps():
+    basis = RBF(3).matrix(6)  # centres at t = 1, 3.5, 6: log kernel = -log 2 (distance / 1.25)^2
+    expected = -np.log(2) * ((np.arange(1, 7)[:, None] - [1, 3.5, 6]) / 1.25) ** 2
+    np.testing.assert_allclose(np.log(basis), expected, rtol=1e-13)
+
+
+def formula(cost, psi, z, u, goal):
+    """C = sum_{t=1}^T sum_i W[t, i] (z_t[i] - goal[i])^2 + sum_{t=0}^{T-1} rho_t |u_t|^2, W = B g(Psi), in loops."""
+    g, basis = MAPS[cost.positivity][0], cost.basis.matrix(T)
+    n_weights = basis.shape[1] * N_Z
+    Psi = g(psi[:n_weights]).reshape(-1, N_Z)
+    rho = np.broadcast_to(g(psi[n_weights:]) if cost.learn_effort else cost.effort, T)
+    total = 0.0
+    for t in range(1, T + 1):
+        for i in range(N_Z):
+            weight = 1.0 if isinstance(cost.basis, Default) else basis[t - 1] @ Psi[:, i]
+            total += weight * (z[t, i] - goal[i]) ** 2
+    return total + sum(rho[t] * u[t] @ u[t] for t in range(T))
+
+
+COSTS = list(itertools.product(BASES, (0.7, PER_STEP), (False, True), MAPS))
+
+
+@pytest.mark.parametrize(("basis", "effort", "learn_effort", "positivity"), COSTS, ids=str)
+def test_objective_equals_the_formula_in_numpy(basis, effort, learn_effort, positivity):
+    cost, rng = KeypointCost(basis, effort, learn_effort, positivity), np.random.default_rng(1)
+    problem = keypoint_ocp(ROBOT, cost, T)
+    states, actions = rng.normal(size=(T + 1, N_Z + 2 * N_Q)), rng.normal(size=(T, N_Q))
+    psi, goal = rng.normal(size=problem.n_parameters), rng.normal(size=N_Z)
+    n_efforts = np.size(effort) if learn_effort else 0
+    assert len(psi) == cost.n_parameters(T, N_Z) == basis.matrix(T).shape[1] * N_Z + n_efforts
+    expected = formula(cost, psi, states[:, :N_Z], actions, goal)
+    scale = formula(cost, np.abs(psi), states[:, :N_Z], actions, goal)  # free signs may cancel
+    np.testing.assert_allclose(
+        float(problem.cost(states.T, actions.T, psi, goal)), expected, rtol=0, atol=1e-14 * scale
+    )
+
+
+def test_objective_of_a_solution_equals_the_formula_in_numpy():
+    cost = KeypointCost(RBF(3), effort=0.1)
+    problem, psi = keypoint_ocp(ROBOT, cost, T), np.linspace(0.5, 2, 3 * N_Z)
+    theta = np.array([0.2, -1.0, 1.1, -0.4, 0.6, 0.1])
+    goal = ROBOT.locate(theta + 0.1).ravel()
+    solution = Ipopt().solve(problem, keypoint_state(ROBOT, theta), psi, goal).raise_if_failed()
+    expected = formula(cost, psi, solution.states[:, :N_Z], solution.actions, goal)
+    np.testing.assert_allclose(solution.objective, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("positivity", MAPS)
+@pytest.mark.parametrize("effort", [0.5, PER_STEP], ids=str)
+def test_equal_weights_make_weighted_time_dependent_and_default_agree(positivity, effort):
+    rng, values = np.random.default_rng(2), []
+    states, actions, goal = rng.normal(size=(T + 1, N_Z + 2 * N_Q)), rng.normal(size=(T, N_Q)), rng.normal(size=N_Z)
+    for basis in (Weighted(), TimeDependent(), Default()):
+        cost = KeypointCost(basis, effort, positivity=positivity)
+        problem = keypoint_ocp(ROBOT, cost, T)
+        values.append(float(problem.cost(states.T, actions.T, cost.initial(T, N_Z), goal)))
+    np.testing.assert_allclose(values, values[-1], rtol=1e-14)
+
+
+@pytest.mark.parametrize(("positivity", "weight"), [(name, w) for name in MAPS for w in MAPS[name][1]])
+def test_initial_inverts_the_parametrisation(positivity, weight):
+    cost = KeypointCost(TimeDependent(), max(weight, 1e-3), learn_effort=True, positivity=positivity)
+    W, rho = cost.weights(cost.initial(T, N_Z, weight), T, N_Z)
+    np.testing.assert_allclose(W, np.full((T, N_Z), weight), rtol=1e-14)
+    np.testing.assert_allclose(rho, np.full(T, max(weight, 1e-3)), rtol=1e-14)
+
+
+def test_initial_takes_one_weight_per_kernel_and_coordinate():
+    wanted, cost = np.arange(1.0, 1 + 3 * N_Z).reshape(3, N_Z), KeypointCost(RBF(3), positivity="softplus")
+    W, _ = cost.weights(cost.initial(T, N_Z, wanted), T, N_Z)
+    np.testing.assert_allclose(W, RBF(3).matrix(T) @ wanted, rtol=1e-14)
+
+
+def test_initial_starts_a_learned_effort_at_the_given_one():
+    cost = KeypointCost(Default(), PER_STEP, learn_effort=True, positivity="exp")
+    np.testing.assert_allclose(cost.weights(cost.initial(T, N_Z), T, N_Z)[1], cost.effort, rtol=1e-14)
+
+
+@pytest.mark.xfail(strict=True, reason="log1p(exp(x)) overflows above x = 709")
+def test_softplus_represents_a_weight_of_a_thousand():
+    cost = KeypointCost(Weighted(), positivity="softplus")
+    W, _ = cost.weights(cost.initial(T, N_Z, 1000.0), T, N_Z)
+    np.testing.assert_allclose(W, np.full((T, N_Z), 1000.0), rtol=1e-14)
+
+
+@pytest.mark.parametrize("basis", BASES[:3], ids=str)
+@pytest.mark.parametrize("positivity", ["softplus", "exp", "square"])
+def test_weights_are_never_negative_whatever_psi(basis, positivity):
+    cost = KeypointCost(basis, 1.0, learn_effort=True, positivity=positivity)
+    for size in (1e-3, 1.0, 30.0, 700.0):
+        psi = np.random.default_rng(3).uniform(-size, size, cost.n_parameters(T, N_Z))
+        W, rho = cost.weights(psi, T, N_Z)
+        assert psi.min() < 0
+        assert W.min() >= 0
+        assert rho.min() >= 0
+
+
+def test_identity_lets_weights_be_negative():
+    W, _ = KeypointCost(Weighted()).weights(np.full(N_Z, -2.0), T, N_Z)
+    np.testing.assert_array_equal(W, np.full((T, N_Z), -2.0))
+
+
+ERRORS = {
+    "unknown positivity lists the names": (
+        lambda: KeypointCost(Weighted(), positivity="relu"),
+        "one of identity, softplus, exp, square; got 'relu'",
+    ),
+    "negative effort": (lambda: KeypointCost(Weighted(), effort=-0.1), r"effort must be a number >= 0.*-0\.1"),
+    "one negative effort": (lambda: KeypointCost(Weighted(), effort=(1.0, -1.0)), "effort must be a number >= 0"),
+    "NaN effort": (lambda: KeypointCost(Weighted(), effort=np.nan), "effort must be a number >= 0"),
+    "effort per step and joint": (lambda: KeypointCost(Weighted(), effort=((1.0,),)), "effort must be a number"),
+    "wrong number of efforts": (
+        lambda: keypoint_ocp(ROBOT, KeypointCost(Weighted(), (1.0, 2.0)), T),
+        r"one per step \(5,\), got 2",
+    ),
+    "more kernels than steps": (
+        lambda: keypoint_ocp(ROBOT, KeypointCost(RBF(6)), T),
+        "2 <= kernels <= horizon = 5, got 6",
+    ),
+    "one kernel": (lambda: KeypointCost(RBF(1)).schedule(T), "2 <= kernels"),
+    "zero weight as exp": (lambda: KeypointCost(Weighted(), positivity="exp").initial(T, 2, 0), "cannot represent"),
+    "zero weight as softplus": (
+        lambda: KeypointCost(Weighted(), positivity="softplus").initial(T, 2, [1, 0]),
+        "'softplus' cannot represent weights of 0: choose positive ones",
+    ),
+    "negative weight as square": (
+        lambda: KeypointCost(Weighted(), positivity="square").initial(T, 2, -1),
+        "'square' cannot represent weights of -1",
+    ),
+    "zero learned effort as exp": (
+        lambda: KeypointCost(Default(), 0.0, learn_effort=True, positivity="exp").initial(T, 2),
+        "'exp' cannot represent",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", ERRORS)
+def test_is_a_problem_error(case):
+    call, message = ERRORS[case]
+    with pytest.raises(ProblemError, match=message):
+        call()

@@ -1,0 +1,241 @@
+"""An OCP against loops in Python, and the errors of an inconsistent one."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from kpirl_ocp import (
+    OCP,
+    Default,
+    GradientDescent,
+    Ipopt,
+    KeypointCost,
+    Robot,
+    Trajectory,
+    keypoint_ocp,
+    keypoint_state,
+)
+from kpirl_ocp.errors import ProblemError
+
+T, N_S, N_U, N_PSI, N_C, N_D, N_H = 4, 3, 2, 2, 1, 2, 2
+RNG = np.random.default_rng(0)
+SCHEDULE = RNG.normal(size=(T + 1, N_D))
+S0, PSI, CONTEXT = RNG.normal(size=N_S), RNG.normal(size=N_PSI), RNG.normal(size=N_C)
+STATES, ACTIONS = RNG.normal(size=(T + 1, N_S)), RNG.normal(size=(T, N_U))
+
+
+def dynamics(s, u, p, lib):
+    return [s[0] + lib.sin(p[0] * s[1]) + u[0], 0.5 * s[1] - s[2] * u[1], s[2] + 0.1 * p[1] * u[0] * u[1]]
+
+
+def stage_cost(s, u, p, c, d, lib):
+    return d[0] * s[0] ** 2 + p[0] * d[1] * u[0] ** 2 + lib.cos(s[1] - c[0]) + u[1] ** 4
+
+
+def terminal_cost(s, p, c, d, lib):
+    return d[0] * p[1] * s[1] ** 2 + d[1] * lib.exp(s[2] - c[0])
+
+
+def path_constraint(s, u, p, c, d, lib):
+    return [d[0] * s[0] + u[1] - 1, lib.sin(p[1] * d[1] * u[0]) - c[0]]
+
+
+def expressions(kind):
+    """Arguments of `OCP.from_expressions` in SX or MX."""
+    sizes = {"s": N_S, "u": N_U, "psi": N_PSI, "c": N_C, "d": N_D}
+    s, u, p, c, d = (kind.sym(name, size) for name, size in sizes.items())
+    return {
+        "state": s,
+        "action": u,
+        "parameters": p,
+        "context": c,
+        "stage": d,
+        "dynamics": ca.vertcat(*dynamics(s, u, p, ca)),
+        "stage_cost": stage_cost(s, u, p, c, d, ca),
+        "terminal_cost": terminal_cost(s, p, c, d, ca),
+        "path_constraint": ca.vertcat(*path_constraint(s, u, p, c, d, ca)),
+        "observation": ca.vertcat(s[2], s[0] * s[1]),
+        "horizon": T,
+        "schedule": SCHEDULE,
+        "action_bounds": (-3, [3, 4]),
+        "state_bounds": ([-5, -np.inf, -7], np.inf),
+    }
+
+
+def build(kind=ca.SX, **changes):
+    return OCP.from_expressions(**(expressions(kind) | changes))
+
+
+@pytest.fixture(params=[ca.SX, ca.MX], ids=["SX", "MX"])
+def problem(request):
+    return build(request.param)
+
+
+def test_sizes_are_read_from_the_expressions(problem):
+    sizes = problem.n_states, problem.n_actions, problem.n_parameters, problem.n_context, problem.n_path
+    assert (*sizes, problem.n_observations) == (N_S, N_U, N_PSI, N_C, N_H, 2)
+
+
+def test_rollout_equals_a_loop_in_python_and_is_time_first_from_simulate(problem):
+    expected = [S0]
+    for u in ACTIONS:
+        expected.append(np.array(dynamics(expected[-1], u, PSI, np)))
+    trajectory = problem.simulate(S0, ACTIONS, PSI)
+    assert trajectory.states.shape == (T + 1, N_S)
+    np.testing.assert_allclose(trajectory.states, expected, rtol=1e-14, atol=1e-14)
+    np.testing.assert_array_equal(trajectory.actions, ACTIONS)
+    np.testing.assert_array_equal(np.array(problem.rollout(S0, ACTIONS.T, PSI)).T, trajectory.states)
+
+
+def test_cost_equals_a_loop_in_python_with_row_t_of_the_schedule_at_stage_t(problem):
+    stages = [stage_cost(STATES[t], ACTIONS[t], PSI, CONTEXT, SCHEDULE[t], np) for t in range(T)]
+    expected = sum(stages) + terminal_cost(STATES[T], PSI, CONTEXT, SCHEDULE[T], np)
+    np.testing.assert_allclose(float(problem.cost(STATES.T, ACTIONS.T, PSI, CONTEXT)), expected, rtol=1e-14)
+
+
+def test_each_stage_sees_its_own_row_of_the_schedule_and_no_other(problem):
+    def value(schedule):
+        changed = build(schedule=schedule)
+        return [float(changed.cost(states.T, ACTIONS.T, PSI, CONTEXT)) for states in at_one_stage]
+
+    at_one_stage = [np.outer(np.arange(T + 1) == t, [1.0, 1.0, 0.0]) for t in range(T + 1)]
+    bumped = [np.array(value(SCHEDULE + np.outer(np.arange(T + 1) == t, [1.0, 0.0]))) for t in range(T + 1)]
+    # d[0] multiplies s[0]^2 = 1 at a stage and p[1] s[1]^2 = p[1] at the end, wherever the state is not zero
+    expected = np.diag([1.0] * T + [PSI[1]])
+    np.testing.assert_allclose(bumped - np.array(value(SCHEDULE)), expected, rtol=0, atol=1e-14)
+
+
+def test_path_constraints_equal_a_loop_in_python(problem):
+    expected = [path_constraint(STATES[t], ACTIONS[t], PSI, CONTEXT, SCHEDULE[t], np) for t in range(T)]
+    found = np.array(problem.path(STATES.T, ACTIONS.T, PSI, CONTEXT)).T
+    np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-14)
+
+
+def test_observation_is_taken_of_every_state(problem):
+    expected = np.stack([STATES[:, 2], STATES[:, 0] * STATES[:, 1]])
+    np.testing.assert_array_equal(np.array(problem.observe(STATES.T)), expected)
+
+
+def test_without_an_observation_the_state_is_seen():
+    problem = build(observation=None)
+    assert problem.n_observations == N_S
+    np.testing.assert_array_equal(np.array(problem.observe(STATES.T)).T, STATES)
+
+
+def test_plain_functions_make_the_same_problem_as_expressions():
+    given = build()
+    problem = OCP(given.dynamics, given.stage_cost, given.terminal_cost, T, schedule=SCHEDULE)
+    np.testing.assert_array_equal(problem.simulate(S0, ACTIONS, PSI).states, given.simulate(S0, ACTIONS, PSI).states)
+    arguments = STATES.T, ACTIONS.T, PSI, CONTEXT
+    assert float(problem.cost(*arguments)) == float(given.cost(*arguments))
+    assert problem.path(*arguments).shape == (0, T)
+
+
+def test_sx_and_mx_functions_may_be_mixed():
+    sx, mx = build(ca.SX), build(ca.MX)
+    mixed = OCP(sx.dynamics, mx.stage_cost, sx.terminal_cost, T, schedule=SCHEDULE)
+    np.testing.assert_array_equal(mixed.simulate(S0, ACTIONS, PSI).states, sx.simulate(S0, ACTIONS, PSI).states)
+
+
+def test_bounds_are_broadcast(problem):
+    np.testing.assert_array_equal(problem.action_bounds, [[-3, -3], [3, 4]])
+    np.testing.assert_array_equal(problem.state_bounds, [[-5, -np.inf, -7], [np.inf] * 3])
+
+
+def test_unconstrained_removes_bounds_and_path_and_nothing_else(problem):
+    free = problem.unconstrained()
+    assert problem.has_action_bounds
+    assert problem.has_state_constraints
+    assert not free.has_action_bounds
+    assert not free.has_state_constraints
+    assert free.n_path == 0
+    np.testing.assert_array_equal(free.simulate(S0, ACTIONS, PSI).states, problem.simulate(S0, ACTIONS, PSI).states)
+    arguments = STATES.T, ACTIONS.T, PSI, CONTEXT
+    assert float(free.cost(*arguments)) == float(problem.cost(*arguments))
+
+
+s, x = ca.SX.sym("s", N_S), ca.SX.sym("x")
+INCONSISTENT = {  # what is wrong: the change, the message
+    "horizon of zero": ({"horizon": 0}, "horizon must be a whole number of at least 1 step, got 0"),
+    "horizon of two and a half": ({"horizon": 2.5}, "horizon must be a whole number"),
+    "one row of the schedule short": ({"schedule": SCHEDULE[1:]}, r"\(T\+1, n_d\) = \(5, n_d\), got \(4, 2\)"),
+    "schedule as a vector": ({"schedule": np.zeros(T + 1)}, r"got \(5,\)"),
+    "one column of the schedule short": ({"schedule": SCHEDULE[:, :1]}, "stage_cost must take vectors of lengths"),
+    "free symbol in the dynamics": ({"dynamics": ca.vertcat(x, x, x)}, "dynamics: its symbols are not among"),
+    "free symbol in the cost": ({"stage_cost": x}, r"stage_cost: its symbols are not among(.|\n)*\[x\]"),
+    "action in the terminal cost": ({"terminal_cost": ca.SX.sym("a")}, "terminal_cost: its symbols are not among"),
+    "free symbol in the path constraint": ({"path_constraint": x}, "path: its symbols are not among"),
+    "free symbol in the observation": ({"observation": x}, "observation: its symbols are not among"),
+    "SX and MX mixed": ({"parameters": ca.MX.sym("p", N_PSI)}, "its symbols are not among"),
+    "dynamics too short": ({"state": s, "dynamics": s[:2]}, "dynamics must .*one column of length 3"),
+    "dynamics too long": ({"state": s, "dynamics": ca.vertcat(s, s)}, "dynamics must .*one column of length 3"),
+    "cost not a scalar": ({"state": s, "stage_cost": s}, "stage_cost must .*one column of length 1"),
+    "terminal cost not a scalar": ({"state": s, "terminal_cost": s}, "terminal_cost must .*one column of length 1"),
+    "path constraint as a row": ({"state": s, "path_constraint": s.T}, "path_constraint must .*one column"),
+    "observation as a row": ({"state": s, "observation": s.T}, "observation must .*one column"),
+    "lower above upper": ({"action_bounds": ([-1, 2], [1, 1])}, "action_bounds: every lower bound"),
+    "NaN bound": ({"state_bounds": (np.nan, 1)}, "state_bounds: every lower bound must be a number"),
+    "NaN upper bound": ({"action_bounds": (0, [1, np.nan])}, "action_bounds: every lower bound must be a number"),
+    "bounds of another length": ({"state_bounds": (np.zeros(2), 1)}, r"state_bounds must be .*\(3,\)"),
+    "three bounds": ({"action_bounds": (0, 1, 2)}, r"action_bounds must be \(lower, upper\)"),
+}
+
+
+@pytest.mark.parametrize("case", INCONSISTENT)
+def test_an_inconsistent_problem_is_refused(case):
+    changes, message = INCONSISTENT[case]
+    if "state" in changes:  # the other expressions belong to another symbol
+        constant = {"dynamics": s, "stage_cost": ca.SX(0), "terminal_cost": 0.0, "path_constraint": None}
+        changes = constant | {"observation": None} | changes
+    with pytest.raises(ProblemError, match=message):
+        build(**changes)
+
+
+def test_functions_with_swapped_roles_are_refused():
+    given = build()
+    with pytest.raises(ProblemError, match="stage_cost must take"):
+        OCP(given.dynamics, given.terminal_cost, given.stage_cost, T, schedule=SCHEDULE)
+    with pytest.raises(ProblemError, match=r"dynamics must be f\(s, u, psi\)"):
+        OCP(given.stage_cost, given.stage_cost, given.terminal_cost, T, schedule=SCHEDULE)
+
+
+@pytest.mark.parametrize("solver", [Ipopt(), GradientDescent()], ids=["Ipopt", "GradientDescent"])
+@pytest.mark.parametrize("name", ["s0", "psi", "context"])
+def test_a_vector_of_the_wrong_length_is_refused_by_name(solver, name):
+    vectors = {"s0": S0, "psi": PSI, "context": CONTEXT}
+    with pytest.raises(ProblemError, match=f"{name} must have length {len(vectors[name])}, got"):
+        solver.solve(build().unconstrained(), **(vectors | {name: np.zeros(len(vectors[name]) + 1)}))
+
+
+GUESSES = {"actions by columns": (STATES, ACTIONS.T), "a step too few": (STATES, ACTIONS[1:])}
+
+
+@pytest.mark.parametrize("solver", [Ipopt(), GradientDescent()], ids=["Ipopt", "GradientDescent"])
+@pytest.mark.parametrize("guess", GUESSES)
+def test_a_guess_of_the_wrong_shape_is_refused(solver, guess):
+    with pytest.raises(ProblemError, match=r"actions must be \(T, n_u\) = \(4, 2\), got"):
+        solver.solve(build().unconstrained(), S0, PSI, CONTEXT, guess=Trajectory(*GUESSES[guess]))
+    with pytest.raises(ProblemError, match=r"states must be \(T\+1, n_s\) = \(5, 3\), got \(4, 3\)"):
+        Ipopt().solve(build(), S0, PSI, CONTEXT, guess=Trajectory(STATES[1:], ACTIONS))
+
+
+def test_keypoint_problem_moves_by_displacements_and_sees_keypoints_in_its_unit():
+    robot, theta = Robot.from_example_data("ur5"), np.array([0.2, -1.0, 1.1, -0.4, 0.6, 0.1])
+    problem = keypoint_ocp(robot, KeypointCost(Default()), 3, unit=0.01)
+    steps = np.random.default_rng(0).normal(0, 0.1, (3, 6))
+    s0 = keypoint_state(robot, theta, unit=0.01)
+    states = problem.simulate(s0, steps).states
+    positions = theta + np.vstack([np.zeros(6), np.cumsum(steps, axis=0)])
+    keypoints = np.array([robot.locate(q).ravel() for q in positions]) / 0.01  # [cm]
+    np.testing.assert_allclose(states, np.hstack([keypoints, positions, np.zeros((4, 6))]), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(np.array(problem.observe(states.T)).T, states[:, :9])
+
+
+def test_keypoint_problem_refuses_meaningless_numbers():
+    robot = Robot.from_example_data("ur5")
+    for change in ({"unit": 0.0}, {"max_displacement": -1.0}, {"unit": np.nan}):
+        with pytest.raises(ProblemError, match="must be positive"):
+            keypoint_ocp(robot, KeypointCost(Default()), 3, **change)
+    for theta in (np.zeros(7), np.full(6, np.nan)):
+        with pytest.raises(ProblemError, match="theta must be 6 finite joint positions"):
+            keypoint_state(robot, theta)
