@@ -134,10 +134,10 @@ def sweep(
     s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
     start = guess_actions(problem, guess).ravel()
     function = _function(problem, solver, loss, last)
-    outputs = function(start, s0, psi, context, seen(problem, demonstration))
-    value, remainder, kink, initial = (float(scalar) for scalar in outputs[:4])
-    gradient = np.array(outputs[4]).ravel()
-    solution = finish(problem, solver, initial, outputs[5:])
+    output = np.array(function(start, s0, psi, context, seen(problem, demonstration))).ravel()
+    value, remainder, kink, initial = output[:4].tolist()
+    gradient, point = np.split(output[4:], [len(psi)])
+    solution = finish(problem, solver, initial, point)
     certificate = UnrolledCertificate(
         solution=solution,
         failures=tuple(_failures(value, gradient, remainder, kink, solver.steps - last)),
@@ -160,7 +160,7 @@ def _failures(loss: float, gradient: Array, remainder: float, kink: float, left_
 
 @lru_cache(maxsize=64)
 def _function(problem: OCP, solver: GradientDescent, loss: Loss, last: int) -> ca.Function:
-    """(u_0, s0, psi, c, Z) -> loss, remainder, kink distance, initial cost, gradient, then `terminal_point`."""
+    """(u_0, s0, psi, c, Z) -> one vector: loss, remainder, kink distance, initial cost, gradient, `terminal_point`."""
     u, s0, psi, context = symbols(problem)
     observed = ca.MX.sym("Z", problem.n_observations, problem.horizon + 1)
     step, adjoint = gradient_step(problem, solver), _adjoint_step(problem, solver)
@@ -168,7 +168,7 @@ def _function(problem: OCP, solver: GradientDescent, loss: Loss, last: int) -> c
     def repeat(count: int) -> list[ca.MX]:
         return [ca.repmat(value, 1, count) for value in (s0, psi, context)]
 
-    iterates, free = step.mapaccum(solver.steps)(u, *repeat(solver.steps))  # u_1 .. u_N
+    iterates, free, costs = step.mapaccum(solver.steps)(u, *repeat(solver.steps))  # u_1 .. u_N
     before = ca.horzcat(u, iterates)[:, solver.steps - last : solver.steps]  # u_{N-k} .. u_{N-1}
     point = terminal_point(problem)(iterates[:, -1], s0, psi, context)
 
@@ -176,9 +176,8 @@ def _function(problem: OCP, solver: GradientDescent, loss: Loss, last: int) -> c
     backwards = adjoint.mapaccum(last)(slope, before[:, ::-1], *repeat(last))
     gradient = direct + ca.sum2(backwards[1])
     remainder = ca.norm_2(backwards[0][:, -1]) / ca.fmax(ca.norm_2(slope), np.finfo(float).tiny)
-    initial = problem.cost(problem.rollout(s0, as_columns(problem, u), psi), as_columns(problem, u), psi, context)
-    outputs = [value, remainder, _kink_distance(problem, solver, free), initial, gradient, *point]
-    return compiled(ca.Function("unrolled", [u, s0, psi, context, observed], outputs))
+    output = ca.vertcat(value, remainder, _kink_distance(problem, solver, free), costs[0], gradient, point)
+    return compiled(ca.Function("unrolled", [u, s0, psi, context, observed], [output]))
 
 
 def _adjoint_step(problem: OCP, solver: GradientDescent) -> ca.Function:

@@ -49,7 +49,8 @@ class GradientDescent:
         check_constraints(problem, self.project)
         descend, evaluate = _functions(problem, self)
         final, initial_cost = descend(guess_actions(problem, guess).ravel(), start, psi, context)
-        return finish(problem, self, float(initial_cost), evaluate(final, start, psi, context))
+        point = np.array(evaluate(final, start, psi, context)).ravel()
+        return finish(problem, self, float(initial_cost), point)
 
 
 def check_constraints(problem: OCP, project: bool) -> None:
@@ -67,12 +68,12 @@ def check_constraints(problem: OCP, project: bool) -> None:
 
 
 def gradient_step(problem: OCP, solver: GradientDescent) -> ca.Function:
-    """(u (T n_u,), s0, psi, c) -> the next iterate, and the point before the projection."""
+    """(u (T n_u,), s0, psi, c) -> the next iterate, the point before the projection, and the cost at u."""
     u, s0, psi, context = symbols(problem)
     states = problem.rollout(s0, as_columns(problem, u), psi)
     cost = problem.cost(states, as_columns(problem, u), psi, context)
     free = u - solver.step_size * ca.gradient(cost, u)
-    return ca.Function("gradient_step", [u, s0, psi, context], [project(problem, solver, free), free])
+    return ca.Function("gradient_step", [u, s0, psi, context], [project(problem, solver, free), free, cost])
 
 
 def project(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX:
@@ -84,12 +85,14 @@ def project(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX:
 
 
 def terminal_point(problem: OCP) -> ca.Function:
-    """(u, s0, psi, c) -> states (n_s, T+1), actions (n_u, T), objective, costates (n_s, T), gradient (T n_u,).
+    """(u, s0, psi, c) -> one vector: states, actions, gradient (T n_u,), costates and objective, as `finish` takes it.
 
-    The costate lambda_{t+1} is the derivative of the objective with respect to a disturbance added to s_{t+1}.
+    One vector, because handing an array from CasADi to numpy costs as much as a gradient step of a small problem. The
+    costate lambda_{t+1} is the derivative of the objective with respect to a disturbance added to s_{t+1}.
     """
     u, s0, psi, context = symbols(problem)
-    disturbance = ca.MX.sym("d", problem.n_states, problem.horizon)
+    unknowns = ca.MX.sym("x", problem.horizon * (problem.n_actions + problem.n_states))
+    moved, pushed = ca.vertsplit(unknowns, [0, u.numel(), unknowns.numel()])
     s, a, p, d = (
         ca.MX.sym("s", problem.n_states),
         ca.MX.sym("a", problem.n_actions),
@@ -97,12 +100,14 @@ def terminal_point(problem: OCP) -> ca.Function:
         ca.MX.sym("d", problem.n_states),
     )
     disturbed = ca.Function("disturbed", [s, a, p, d], [problem.dynamics(s, a, p) + d]).mapaccum(problem.horizon)
-    actions = as_columns(problem, u)
+    actions = as_columns(problem, moved)
+    disturbance = ca.reshape(pushed, problem.n_states, problem.horizon)
     states = ca.horzcat(s0, disturbed(s0, actions, ca.repmat(psi, 1, problem.horizon), disturbance))
     objective = problem.cost(states, actions, psi, context)
-    outputs = [states, actions, objective, ca.gradient(objective, disturbance), ca.gradient(objective, u)]
-    at_rest = ca.graph_substitute(outputs, [disturbance], [ca.MX.zeros(disturbance.shape)])
-    return ca.Function("terminal_point", [u, s0, psi, context], at_rest)
+    outputs = ca.vertcat(ca.vec(states), moved, ca.gradient(objective, unknowns), objective)
+    point = ca.Function("point", [unknowns, s0, psi, context], [outputs])
+    undisturbed = ca.vertcat(u, ca.MX.zeros(problem.horizon * problem.n_states))
+    return ca.Function("terminal_point", [u, s0, psi, context], [point(undisturbed, s0, psi, context)])
 
 
 def symbols(problem: OCP) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
@@ -128,26 +133,25 @@ def _functions(problem: OCP, solver: GradientDescent) -> tuple[ca.Function, ca.F
     once = ca.Function("once", [u, s0, psi, context], [step(u, s0, psi, context)[0]])
     repeated = (ca.repmat(value, 1, solver.steps) for value in (s0, psi, context))
     last = once.fold(solver.steps)(u, *repeated)
-    actions = as_columns(problem, u)
-    initial_cost = problem.cost(problem.rollout(s0, actions, psi), actions, psi, context)
-    descend = ca.Function("descend", [u, s0, psi, context], [last, initial_cost])
+    descend = ca.Function("descend", [u, s0, psi, context], [last, step(u, s0, psi, context)[2]])
     return compiled(descend), compiled(terminal_point(problem))
 
 
-def finish(problem: OCP, solver: GradientDescent, initial_cost: float, point: list[ca.DM]) -> Solution:
-    """The audited solution from the cost of the guess and the outputs of `terminal_point`."""
-    states, actions, value, costates, gradient = (np.array(output) for output in point)
-    objective = value.item()
-    trajectory = Trajectory(states.T, actions.T)
-    slope = gradient.reshape(actions.T.shape)
+def finish(problem: OCP, solver: GradientDescent, initial_cost: float, point: Array) -> Solution:
+    """The audited solution from the cost of the guess and the output of `terminal_point`."""
+    steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
+    ends = np.cumsum([(steps + 1) * n_s, steps * n_u, steps * n_u, steps * n_s])
+    states, actions, slope, costates, value = np.split(point, ends)
+    trajectory = Trajectory(states.reshape(steps + 1, n_s), actions.reshape(steps, n_u))
+    costates, slope, objective = costates.reshape(steps, n_s), slope.reshape(steps, n_u), float(value[0])
     pushing = _bound_multipliers(problem, trajectory.actions, slope)
     scale = float(np.max([1.0, largest(slope), largest(costates)]))
     residuals = KKTResiduals(largest(slope + pushing), 0.0, 0.0, 0.0, scale)
     multipliers = Multipliers(
-        dynamics=costates.T,
-        state=np.zeros_like(states.T[1:]),
+        dynamics=costates,
+        state=np.zeros((steps, n_s)),
         action=pushing,
-        path=np.zeros((problem.horizon, 0)),
+        path=np.zeros((steps, 0)),
     )
     status = _status(trajectory, initial_cost, objective, residuals.worst, solver.tolerance)
     return Solution(trajectory, multipliers, objective, residuals, status, solver.steps)

@@ -139,6 +139,12 @@ class Robot:
         """Keypoints (n_keypoints, 3) [m] at the joint positions theta (n_joints,)."""
         return np.asarray(self.keypoint_function(theta)).reshape(self.n_keypoints, 3)
 
+    def skeleton(self, theta: np.ndarray) -> np.ndarray:
+        """Origins (n_joints + 1, 3) [m] of the base and all joints, for drawing."""
+        data = self.model.createData()
+        pin.forwardKinematics(self.model, data, self.configuration(theta))
+        return np.array([placement.translation for placement in data.oMi])
+
 
 def _joint_placements(model: pin.Model, theta: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
     """World rotation (3, 3) and translation (3,) of every joint frame, the universe first."""

@@ -1,0 +1,85 @@
+"""The paper's simulation study: reaching and placing, our method against apprenticeship learning, several seeds."""
+
+import argparse
+import itertools
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from kpirl_ocp import figures
+from kpirl_ocp.irl.study import METHODS, Curve, StudySettings, run_case
+from kpirl_ocp.irl.tasks import TASKS
+from kpirl_ocp.reporting import output_directory, run, table, write_metrics
+
+Results = dict[tuple[str, int], dict[str, Curve]]
+
+
+def run_all(cases: list[tuple[str, int]], settings: StudySettings, jobs: int) -> Results:
+    """Every case in a process of its own, `jobs` at a time."""
+    with ProcessPoolExecutor(jobs) as pool:
+        curves = pool.map(run_case, *zip(*cases, strict=True), itertools.repeat(settings))
+        return dict(zip(cases, tqdm(curves, total=len(cases), desc="study", unit="case"), strict=True))
+
+
+def summary(results: Results) -> list[list[object]]:
+    """Mean and spread over seeds, at the psi with the lowest training loss, and how restless training was."""
+    rows: list[list[object]] = []
+    for task, method in itertools.product(TASKS, METHODS):
+        curves = [case[method] for (name, _), case in results.items() if name == task]
+        if not curves:
+            continue
+        test, distance, train = (
+            np.array([getattr(c, field)[c.best] for c in curves]) for field in ("test", "distance", "train")
+        )
+        rises = [np.mean(np.diff(c.train) > 0.01 * c.train[:-1]) if len(c.train) > 1 else 0.0 for c in curves]
+        spreads = (f"{values.mean():.3f} ± {values.std():.3f}" for values in (train, test, distance))
+        seconds = np.mean([curve.seconds for curve in curves])
+        rows.append([f"{task}: {method}", *spreads, f"{100 * np.mean(rises):.0f} %", f"{seconds:.2f}"])
+    return rows
+
+
+def draw(results: Results, path: Path) -> Path:
+    tasks = [task for task in TASKS if any(name == task for name, _ in results)]
+    figure, axes = figures.new_figure(2, len(tasks), width=5.0, height=3.4)
+    for row, field in enumerate(("train", "test")):
+        for column, task in enumerate(tasks):
+            axis = axes[row * len(tasks) + column]
+            cases = [case for (name, _), case in results.items() if name == task]
+            longest = max(len(getattr(curve, field)) for case in cases for curve in case.values())
+            curves = {method: [getattr(case[method], field) for case in cases] for method in METHODS}
+            curves["default"] = [np.full(longest, run[0]) for run in curves["default"]]
+            figures.bands(axis, curves)
+            what = "training demonstration" if field == "train" else "test demonstrations"
+            axis.set(title=f"{task}: {what}", xlabel="outer iteration", ylabel="IRL loss [m²]")
+    axes[0].legend(fontsize=7)
+    return figures.save(figure, path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--tasks", nargs="+", choices=list(TASKS), default=list(TASKS), help="default: both")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="default: 0 1 2")
+    parser.add_argument("--iterations", type=int, default=100, help="outer iterations (default: 100)")
+    parser.add_argument("--tests", type=int, default=5, help="test demonstrations (default: 5)")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
+    parser.add_argument("--out", default="out/study", help="directory to write (default: %(default)s)")
+    args = parser.parse_args()
+
+    settings = StudySettings(iterations=args.iterations, tests=args.tests)
+    results = run_all(list(itertools.product(args.tasks, args.seeds)), settings, args.jobs)
+    header = ["task: method", "train IRL loss [m²]", "test IRL loss [m²]", "relative distance", "rises", "time [s]"]
+    print("\n" + table(header, summary(results)))
+    print("Mean ± standard deviation over seeds, at the psi with the lowest training loss.")
+    print("rises: share of outer iterations in which the training loss went up by more than 1 %.")
+
+    out = output_directory(args.out)
+    curves = {f"{t}, seed {s}": {m: asdict(c) for m, c in case.items()} for (t, s), case in results.items()}
+    print(f"\nnumbers: {write_metrics(out, vars(args) | asdict(settings), curves)}")
+    print(f"figure:  {draw(results, out / 'study.png')}")
+
+
+if __name__ == "__main__":
+    run(main)

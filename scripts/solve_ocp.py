@@ -1,0 +1,93 @@
+"""Plan a motion of an arm that carries its keypoints to a goal, and audit the solution.
+
+The goal is the starting place displaced by --move, in metres. Try: --robot panda --solver ipopt --move 0.1 0 -0.2
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from kpirl_ocp import Default, GradientDescent, Ipopt, KeypointCost, Robot, figures, keypoint_ocp, keypoint_state
+from kpirl_ocp.reporting import output_directory, run, table, write_metrics
+
+
+def robot_called(name: str) -> Robot:
+    if name == "iiwa":
+        return Robot.iiwa()
+    return Robot.from_urdf(name) if name.endswith(".urdf") else Robot.from_example_data(name)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--robot", default="iiwa", help="iiwa, a name of example-robot-data (panda, ur5), or a .urdf file"
+    )
+    parser.add_argument("--move", type=float, nargs=3, default=(0.1, 0.0, -0.2), metavar=("DX", "DY", "DZ"), help="[m]")
+    parser.add_argument("--horizon", type=int, default=10, help="time steps T (default: 10)")
+    parser.add_argument("--effort", type=float, default=0.1, help="weight rho of |u|² (default: 0.1)")
+    parser.add_argument("--max-displacement", type=float, default=0.2, help="per joint and step [rad] (default: 0.2)")
+    parser.add_argument("--solver", choices=["ipopt", "gradient"], default="ipopt")
+    parser.add_argument("--steps", type=int, default=500, help="of the gradient solver (default: 500)")
+    parser.add_argument("--step-size", type=float, default=3e-3, help="of the gradient solver (default: 0.003)")
+    parser.add_argument("--out", default="out/solve_ocp", help="directory to write (default: %(default)s)")
+    args = parser.parse_args()
+
+    robot = robot_called(args.robot)
+    gradient = args.solver == "gradient"
+    problem = keypoint_ocp(
+        robot,
+        KeypointCost(Default(), effort=args.effort),
+        args.horizon,
+        joint_limits=not gradient,  # gradient descent projects onto action bounds only
+        max_displacement=args.max_displacement,
+    )
+    lower, upper = robot.joint_limits
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    start = np.where(bounded, 0.5 * (np.where(bounded, lower, 0) + np.where(bounded, upper, 0)), 0.3)
+    start = np.clip(start + 0.4 * (-1.0) ** np.arange(robot.n_joints), lower, upper)  # away from stretched postures
+    s0 = keypoint_state(robot, start)
+    goal = (robot.locate(start) + np.array(args.move)).ravel()
+    solver = GradientDescent(args.steps, args.step_size, project=True) if gradient else Ipopt()
+    solution = solver.solve(problem, s0, (), goal)
+
+    keypoints = solution.states[:, : goal.size].reshape(args.horizon + 1, -1, 3)
+    distance = np.linalg.norm(keypoints - goal.reshape(-1, 3), axis=2)  # (T+1, K)
+    residuals = solution.residuals
+    rows = [
+        ["status", solution.status.name],
+        ["objective", solution.objective],
+        ["iterations", solution.iterations],
+        ["stationarity", residuals.stationarity],
+        ["feasibility", residuals.feasibility],
+        ["complementarity", residuals.complementarity],
+        ["KKT residual, relative", residuals.worst],
+        ["distance to the goal [m]", float(distance[-1].mean())],
+        ["largest action multiplier", float(np.abs(solution.multipliers.action).max())],
+    ]
+    print(table(["", "value"], rows) + f"\n{solution.status.name}: {solution.status.value}")
+
+    out = output_directory(args.out)
+    figure, axes = figures.new_figure(1, 3)
+    for index, values in enumerate(distance.T):
+        axes[0].plot(values, marker=".", label=f"keypoint {index}")
+    axes[0].legend()
+    axes[0].set(title="keypoints", xlabel="time step", ylabel="distance to the goal [m]", ylim=(0, None))
+    for index, values in enumerate(solution.states[:, goal.size : goal.size + robot.n_joints].T):
+        axes[1].plot(values, marker=".", label=f"joint {index + 1}")
+    axes[1].legend(fontsize=6, ncols=2)
+    axes[1].set(title="joints", xlabel="time step", ylabel="position [rad]")
+    axes[2].step(range(args.horizon), solution.actions, where="post")
+    axes[2].axhline(args.max_displacement, color=figures.GREY, ls=":")
+    axes[2].axhline(-args.max_displacement, color=figures.GREY, ls=":")
+    axes[2].set(title="actions, bounds dotted", xlabel="time step", ylabel="displacement [rad]")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    results = dict(rows) | {"states": solution.states, "actions": solution.actions}
+    print(
+        f"\nnumbers: {write_metrics(out, vars(args), results)}\nfigure:  {figures.save(figure, Path(out) / 'plan.png')}"
+    )
+
+
+if __name__ == "__main__":
+    run(main)
