@@ -91,7 +91,7 @@ class LBFGS:
 
     memory: int = 10
     first_step: float = 0.1
-    tolerance: float = 1e-4
+    tolerance: float = 1e-6
 
     def start(self, point: Point) -> tuple[tuple[Array, Array], ...]:
         """No pairs."""

@@ -60,6 +60,8 @@ def demonstrate(robot: Robot, task: str, count: int, seed: int, horizon: int = H
     """
     if task not in TASKS:
         raise ProblemError(f"task must be one of {', '.join(TASKS)}; got {task!r}.")
+    if count < 1:
+        raise ProblemError(f"there must be at least one demonstration, not {count}.")
     if robot.n_joints != len(_POSTURE):
         raise ProblemError(f"the demonstrations start from an iiwa posture; this arm has {robot.n_joints} joints.")
     rng = np.random.default_rng([seed, sorted(TASKS).index(task)])

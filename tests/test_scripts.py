@@ -1,0 +1,98 @@
+"""Every script runs, tiny, from a clean directory; wrong input is one readable line and a non-zero exit."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))
+
+# One tiny run of each script; {demos} and {cost} come from the first two.
+TINY = {
+    "make_demonstrations.py": ["--tests", "2", "--horizon", "6"],
+    "learn_cost.py": ["--demonstrations", "{demos}", "--steps", "3"],
+    "evaluate.py": ["--demonstrations", "{demos}", "--cost", "{cost}"],
+    "solve_ocp.py": ["--robot", "panda", "--horizon", "4"],
+    "compare_hypergradients.py": ["--problem", "lqr", "--steps", "1", "20", "--iterations", "3"],
+    "simulation_study.py": ["--seeds", "0", "--tasks", "placing", "--iterations", "3", "--tests", "1", "--jobs", "1"],
+    "benchmark.py": ["--repeats", "2"],
+}
+
+
+def call(script, *arguments):
+    command = [sys.executable, str(ROOT / "scripts" / script), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    """Demonstrations and a cost learned from them."""
+    base = tmp_path_factory.mktemp("inputs")
+    demos, learned = base / "demos", base / "learned"
+    for script, out in (("make_demonstrations.py", demos), ("learn_cost.py", learned)):
+        arguments = [argument.format(demos=demos, cost="") for argument in TINY[script]]
+        result = call(script, *arguments, "--out", str(out))
+        assert result.returncode == 0, result.stderr
+    return {"demos": demos, "cost": learned / "cost.json"}
+
+
+def test_there_are_scripts_and_all_of_them_are_tested():
+    assert [script.name for script in SCRIPTS] == sorted(TINY)
+
+
+@pytest.mark.parametrize("script", TINY)
+def test_a_tiny_run_writes_its_numbers_and_a_figure(script, inputs, tmp_path):
+    result = call(script, *(argument.format(**inputs) for argument in TINY[script]), "--out", str(tmp_path))
+    assert result.returncode == 0, result.stderr
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert set(metrics) == {"settings", "versions", "results"}
+    assert metrics["results"]
+    figures = list(tmp_path.glob("*.png"))
+    assert figures
+    for figure in figures:
+        assert figure.name in result.stdout
+        assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("method", ["unrolled", "implicit"])
+@pytest.mark.parametrize("cost", ["weighted", "time", "rbf"])
+def test_every_cost_can_be_learned_by_every_method(method, cost, inputs, tmp_path):
+    arguments = ["--demonstrations", str(inputs["demos"]), "--method", method, "--cost", cost, "--steps", "4"]
+    result = call("learn_cost.py", *arguments, "--out", str(tmp_path))
+    assert result.returncode == 0, result.stderr
+    losses = json.loads((tmp_path / "metrics.json").read_text())["results"]["training_losses"]
+    assert min(losses) < losses[0]
+
+
+@pytest.mark.parametrize("script", [script.name for script in SCRIPTS])
+def test_help_says_what_the_script_is_for(script):
+    result = call(script, "--help")
+    assert result.returncode == 0
+    assert "--out" in result.stdout
+    assert len(result.stdout.split("options:")[0]) > 100
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments", "message"),
+    [
+        ("learn_cost.py", ["--demonstrations", "nowhere"], "nowhere"),
+        ("learn_cost.py", ["--inner-steps", "0"], "steps must be"),
+        ("evaluate.py", ["--demonstrations", "nowhere"], "cost.json"),
+        ("solve_ocp.py", ["--robot", "nobody"], "nobody"),
+        ("solve_ocp.py", ["--robot", "missing.urdf"], "missing.urdf"),
+        ("solve_ocp.py", ["--horizon", "0"], "horizon"),
+        ("solve_ocp.py", ["--effort", "-1"], "effort"),
+        ("make_demonstrations.py", ["--tests", "-3"], "at least one"),
+        ("make_demonstrations.py", ["--horizon", "0"], "horizon"),
+    ],
+)
+def test_wrong_input_is_one_readable_line(script, arguments, message, tmp_path):
+    result = call(script, *arguments, "--out", str(tmp_path))
+    assert result.returncode == 2
+    assert re.search(message, result.stderr), result.stderr
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
