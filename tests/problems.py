@@ -1,6 +1,6 @@
 """Small named problems with a demonstration and psi each; built once, so that compiled functions are shared.
 
-Use: `lqr()`, `integrator()`, `pendulum()`, `iiwa()`, or `CASES["lqr"]()`; `free(case)` drops the state constraints.
+Use: `lqr()`, `integrator()`, `pendulum()`, `iiwa()`, or `CASES["lqr"]()`; `free(case)` drops the constraints.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-from kpirl_ocp import OCP, Demonstration, KeypointCost, Robot, Trajectory, Weighted, keypoint_ocp, keypoint_state
+
+from kpirl_ocp import OCP, Demonstration, GradientDescent, KeypointCost, Robot, Weighted, keypoint_ocp, keypoint_state
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,13 +19,14 @@ class Case:
     """A problem with what is needed to differentiate it.
 
     psi: (n_psi,) where to differentiate; away from the demonstration, so that no gradient vanishes.
-    step_size: of a gradient descent that converges.
+    step_size, steps: of a gradient descent that converges to rounding on the problem without state constraints.
     """
 
     problem: OCP
     demonstration: Demonstration
     psi: np.ndarray
     step_size: float
+    steps: int
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,30 @@ class ScalarLQR:
         """(T+1, 1): a demonstration that decays faster than the plan."""
         return self.s0 * 0.4 ** np.arange(self.horizon + 1.0)[:, None]
 
+    @property
+    def response(self) -> tuple[np.ndarray, np.ndarray]:
+        """F (T,) and G (T, T) of (s_1 .. s_T) = F s0 + G u."""
+        times = np.arange(self.horizon)
+        return self.a ** (times + 1.0), self.b * np.tril(self.a ** np.maximum(times[:, None] - times, 0.0))
+
+    def quadratic(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """H and g of J = u.H u / 2 + g.u + constant, and their derivatives by psi, (3, T, T) and (3, T)."""
+        (F, G), T = self.response, self.horizon
+        last = np.eye(T)[-1]
+        dQ = np.array([np.diag(1 - last), np.zeros((T, T)), np.diag(last)])
+        dR = np.array([0.0, 1.0, 0.0])[:, None, None] * np.eye(T)
+        dH, dg = 2 * (G.T @ dQ @ G + dR), 2 * G.T @ (dQ @ F).T * self.s0
+        return np.tensordot(self.psi, dH, 1), dg @ self.psi, dH, dg.T
+
+    def gradient(self, u: np.ndarray, du: np.ndarray) -> np.ndarray:
+        """dL/dpsi for actions u (T,) whose derivative is du (3, T)."""
+        F, G = self.response
+        return 2 * du @ G.T @ (F * self.s0 + G @ u - self.observed[1:, 0])
+
 
 @lru_cache
-def lqr(data: ScalarLQR = ScalarLQR()) -> Case:  # noqa: B008  a frozen record
-    """The scalar LQR; `quadratic` is the same problem in numpy."""
+def lqr(data: ScalarLQR = ScalarLQR()) -> Case:
+    """The scalar LQR as an OCP; `ScalarLQR.quadratic` is the same in numpy."""
     s, u, psi = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("psi", 3)
     problem = OCP.from_expressions(
         state=s,
@@ -56,7 +78,7 @@ def lqr(data: ScalarLQR = ScalarLQR()) -> Case:  # noqa: B008  a frozen record
         terminal_cost=psi[2] * s**2,
         horizon=data.horizon,
     )
-    return Case(problem, Demonstration([data.s0], [], data.observed), np.array(data.psi), 0.2)
+    return Case(problem, Demonstration([data.s0], [], data.observed), np.array(data.psi), 0.17, 150)
 
 
 @lru_cache
@@ -83,7 +105,7 @@ def integrator() -> Case:
     )
     times = np.linspace(0.0, 1.0, 13)
     observed = np.column_stack([times, np.sin(np.pi * times) / 2])
-    return Case(problem, Demonstration([0.0, 0.0], [1.0], observed), np.array([1.2, 0.15, 0.3]), 0.02)
+    return Case(problem, Demonstration([0.0, 0.0], [1.0], observed), np.array([1.2, 0.15, 0.3]), 0.11, 700)
 
 
 @lru_cache
@@ -103,7 +125,7 @@ def pendulum() -> Case:
         horizon=20,
     )
     observed = problem.simulate([0.3, 0.0], np.full((20, 1), 1.5), [0.8, 0.6]).states
-    return Case(problem, Demonstration([0.3, 0.0], [], observed), np.array([1.0, 0.5]), 0.2)
+    return Case(problem, Demonstration([0.3, 0.0], [], observed), np.array([1.0, 0.5]), 0.5, 80)
 
 
 @lru_cache
@@ -121,7 +143,7 @@ def iiwa(effort: float = 0.5) -> Case:
     observed = np.array(states)[:, : problem.n_observations]
     weights = np.linspace(0.5, 2.0, problem.n_observations)
     psi = cost.initial(horizon, problem.n_observations, weights)
-    return Case(problem, Demonstration(states[0], observed[-1], observed), psi, 0.1)
+    return Case(problem, Demonstration(states[0], observed[-1], observed), psi, 0.012, 2500)
 
 
 CASES = {"lqr": lqr, "integrator": integrator, "pendulum": pendulum, "iiwa": iiwa}
@@ -133,6 +155,19 @@ def free(case: Case) -> Case:
     return replace(case, problem=case.problem.unconstrained())
 
 
-def actions_of(problem: OCP, actions: list[list[float]], s0: list[float], psi: np.ndarray) -> Trajectory:
-    """A guess: the rollout of actions (T, n_u)."""
-    return problem.simulate(s0, actions, psi)
+def descent(case: Case, steps: int | None = None) -> GradientDescent:
+    """Gradient descent for the case: a converged one, or a given number of steps."""
+    return GradientDescent(steps or case.steps, case.step_size, project=case.problem.has_action_bounds)
+
+
+def derivatives(case: Case, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """At actions: Hessian of the cost J(u), d2J/du dpsi (n, n_psi), dL/du (n,), partial dL/dpsi; by CasADi alone."""
+    problem, demonstration = case.problem, case.demonstration
+    u, psi = ca.MX.sym("u", actions.size), ca.MX.sym("psi", problem.n_parameters)
+    U = ca.reshape(u, problem.n_actions, problem.horizon)
+    states = problem.rollout(demonstration.s0, U, psi)
+    slope = ca.gradient(problem.cost(states, U, psi, demonstration.context), u)
+    loss = ca.sumsqr(problem.observe(states) - demonstration.observations.T)
+    outputs = [ca.jacobian(slope, u), ca.jacobian(slope, psi), ca.gradient(loss, u), ca.gradient(loss, psi)]
+    H, C, dL, direct = map(np.array, ca.Function("derivatives", [u, psi], outputs)(actions.ravel(), case.psi))
+    return H, C, dL.ravel(), direct.ravel()

@@ -1,12 +1,14 @@
-"""The family of keypoint costs against its formula, its time bases against their definition."""
+"""Keypoint problems: the costs against their formula, the time bases against their definition."""
 
 import itertools
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from kpirl_ocp import RBF, Default, Ipopt, KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp, keypoint_state
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.costs import PARAMETRISATIONS
 
 T = 5
 ROBOT = Robot.from_example_data("ur5", {"tool0": [[0, 0, 0.1], [0.05, 0, 0.2]]})
@@ -89,6 +91,23 @@ def test_objective_of_a_solution_equals_the_formula_in_numpy():
     np.testing.assert_allclose(solution.objective, expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize("beyond", [0.0, 0.3], ids=["goal within the joint limits", "goal beyond them"])
+def test_iiwa_reaches_a_goal_within_its_joint_limits(beyond):
+    robot, theta = Robot.iiwa(), np.array([0.3, 0.5, -0.2, -1.2, 0.1, 0.9, 0.0])  # [rad]
+    lower, upper = robot.joint_limits
+    reach = np.array([0.5, -0.3, 0.2, 0.4, -0.2, 0.3, 0.1]) if not beyond else np.eye(7)[1] * (upper - theta + beyond)
+    goal = robot.locate(theta + reach).ravel()
+    problem = keypoint_ocp(robot, KeypointCost(Default(), effort=1e-4), 8)
+    solution = Ipopt().solve(problem, keypoint_state(robot, theta), context=goal).raise_if_failed()
+    joints, pushes = solution.states[1:, 9:16], solution.multipliers.state[:, 9:16]
+    assert (lower <= joints).all()
+    assert (joints <= upper).all()
+    distance = np.abs(solution.states[-1, :9] - goal).max()  # [m]
+    assert distance < 1e-9 if not beyond else (np.abs(pushes) > 1e-5).any()
+    np.testing.assert_allclose(np.maximum(pushes, 0) * (upper - joints), 0, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(np.minimum(pushes, 0) * (joints - lower), 0, rtol=0, atol=1e-10)
+
+
 @pytest.mark.parametrize("positivity", MAPS)
 @pytest.mark.parametrize("effort", [0.5, PER_STEP], ids=str)
 def test_equal_weights_make_weighted_time_dependent_and_default_agree(positivity, effort):
@@ -120,7 +139,6 @@ def test_initial_starts_a_learned_effort_at_the_given_one():
     np.testing.assert_allclose(cost.weights(cost.initial(T, N_Z), T, N_Z)[1], cost.effort, rtol=1e-14)
 
 
-@pytest.mark.xfail(strict=True, reason="log1p(exp(x)) overflows above x = 709")
 def test_softplus_represents_a_weight_of_a_thousand():
     cost = KeypointCost(Weighted(), positivity="softplus")
     W, _ = cost.weights(cost.initial(T, N_Z, 1000.0), T, N_Z)
@@ -183,3 +201,49 @@ def test_is_a_problem_error(case):
     call, message = ERRORS[case]
     with pytest.raises(ProblemError, match=message):
         call()
+
+
+def test_keypoint_problem_moves_by_displacements_and_sees_keypoints_in_its_unit():
+    robot, theta = Robot.from_example_data("ur5"), np.array([0.2, -1.0, 1.1, -0.4, 0.6, 0.1])
+    problem = keypoint_ocp(robot, KeypointCost(Default()), 3, unit=0.01)
+    steps = np.random.default_rng(0).normal(0, 0.1, (3, 6))
+    s0 = keypoint_state(robot, theta, unit=0.01)
+    states = problem.simulate(s0, steps).states
+    positions = theta + np.vstack([np.zeros(6), np.cumsum(steps, axis=0)])
+    keypoints = np.array([robot.locate(q).ravel() for q in positions]) / 0.01  # [cm]
+    np.testing.assert_allclose(states, np.hstack([keypoints, positions, np.zeros((4, 6))]), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(np.array(problem.observe(states.T)).T, states[:, :9])
+
+
+def test_keypoint_problem_is_bounded_by_joint_limits_and_largest_displacement_on_request():
+    problem = keypoint_ocp(ROBOT, KeypointCost(Default()), 3, max_displacement=0.1)
+    np.testing.assert_array_equal(problem.action_bounds, [[-0.1] * N_Q, [0.1] * N_Q])
+    np.testing.assert_array_equal(np.array(problem.state_bounds)[:, N_Z : N_Z + N_Q], ROBOT.joint_limits)
+    free = keypoint_ocp(ROBOT, KeypointCost(Default()), 3, joint_limits=False)
+    assert not free.has_action_bounds
+    assert not free.has_state_constraints
+
+
+def test_keypoint_problem_refuses_meaningless_numbers():
+    robot = Robot.from_example_data("ur5")
+    for change in ({"unit": 0.0}, {"max_displacement": -1.0}, {"unit": np.nan}):
+        with pytest.raises(ProblemError, match="must be positive"):
+            keypoint_ocp(robot, KeypointCost(Default()), 3, **change)
+    for theta in (np.zeros(7), np.full(6, np.nan)):
+        with pytest.raises(ProblemError, match="theta must be 6 finite joint positions"):
+            keypoint_state(robot, theta)
+
+
+def test_every_parametrisation_has_the_derivatives_of_its_formula():
+    x = ca.SX.sym("x")
+    formulas = {
+        "softplus": (lambda v: 1 / (1 + np.exp(-v)), lambda v: 1 / (2 + np.exp(v) + np.exp(-v))),
+        "exp": (np.exp, np.exp),
+        "square": (lambda v: 2 * v, lambda v: 2.0),
+        "identity": (lambda v: 1.0, lambda v: 0.0),
+    }
+    for name, (first, second) in formulas.items():
+        slope = ca.gradient(PARAMETRISATIONS[name].forward(x), x)
+        derivatives = ca.Function("derivatives", [x], [slope, ca.gradient(slope, x)])
+        for v in (-30.0, -1.0, 0.0, 0.5, 30.0):
+            np.testing.assert_allclose(np.array(derivatives(v)).ravel(), [first(v), second(v)], rtol=1e-14)

@@ -118,7 +118,6 @@ def test_points_on_a_skew_axis_stay_and_points_off_it_move(urdf):
     np.testing.assert_allclose(np.linalg.norm(after[1] - before[1]), 2 * np.sqrt(10) * np.sin(0.95), rtol=1e-14)
 
 
-@pytest.mark.xfail(strict=True, reason="Pinocchio returns a Jacobian with one column as a vector (6,)")
 def test_an_arm_may_have_one_joint(urdf):
     text = BENT.format(joint("slide", "prismatic", "base", "1 0 0", 'xyz="0 0 1"', LIMIT.format(-1, 1)), "")
     robot = Robot.from_urdf(urdf(text.replace('<link name="turn"/>', "")), {"slide": [0, 0, 0]})
@@ -182,7 +181,6 @@ def test_keypoints_must_be_finite_points(urdf, points):
         Robot.from_urdf(urdf(TREE), {"hand": points})
 
 
-@pytest.mark.xfail(strict=True, reason="Keypoint records are not checked, numpy's own ValueError is not translated")
 @pytest.mark.parametrize(
     "keypoints",
     [

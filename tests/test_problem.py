@@ -1,20 +1,10 @@
-"""An OCP against loops in Python, and the errors of an inconsistent one."""
+"""An OCP against loops in Python, and the errors of an inconsistent one and of meaningless arguments."""
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import (
-    OCP,
-    Default,
-    GradientDescent,
-    Ipopt,
-    KeypointCost,
-    Robot,
-    Trajectory,
-    keypoint_ocp,
-    keypoint_state,
-)
+from kpirl_ocp import OCP, GradientDescent, Ipopt, Trajectory
 from kpirl_ocp.errors import ProblemError
 
 T, N_S, N_U, N_PSI, N_C, N_D, N_H = 4, 3, 2, 2, 1, 2, 2
@@ -160,7 +150,10 @@ INCONSISTENT = {  # what is wrong: the change, the message
     "horizon of two and a half": ({"horizon": 2.5}, "horizon must be a whole number"),
     "one row of the schedule short": ({"schedule": SCHEDULE[1:]}, r"\(T\+1, n_d\) = \(5, n_d\), got \(4, 2\)"),
     "schedule as a vector": ({"schedule": np.zeros(T + 1)}, r"got \(5,\)"),
-    "one column of the schedule short": ({"schedule": SCHEDULE[:, :1]}, "stage_cost must take vectors of lengths"),
+    "one column of the schedule short": (
+        {"schedule": SCHEDULE[:, :1]},
+        "stage_cost must take column vectors",
+    ),
     "free symbol in the dynamics": ({"dynamics": ca.vertcat(x, x, x)}, "dynamics: its symbols are not among"),
     "free symbol in the cost": ({"stage_cost": x}, r"stage_cost: its symbols are not among(.|\n)*\[x\]"),
     "action in the terminal cost": ({"terminal_cost": ca.SX.sym("a")}, "terminal_cost: its symbols are not among"),
@@ -173,10 +166,11 @@ INCONSISTENT = {  # what is wrong: the change, the message
     "terminal cost not a scalar": ({"state": s, "terminal_cost": s}, "terminal_cost must .*one column of length 1"),
     "path constraint as a row": ({"state": s, "path_constraint": s.T}, "path_constraint must .*one column"),
     "observation as a row": ({"state": s, "observation": s.T}, "observation must .*one column"),
-    "lower above upper": ({"action_bounds": ([-1, 2], [1, 1])}, "action_bounds: every lower bound"),
-    "NaN bound": ({"state_bounds": (np.nan, 1)}, "state_bounds: every lower bound must be a number"),
-    "NaN upper bound": ({"action_bounds": (0, [1, np.nan])}, "action_bounds: every lower bound must be a number"),
+    "lower above upper": ({"action_bounds": ([-1, 2], [1, 1])}, "action_bounds must be numbers: no lower bound above"),
+    "NaN bound": ({"state_bounds": (np.nan, 1)}, "state_bounds must be numbers"),
+    "NaN upper bound": ({"action_bounds": (0, [1, np.nan])}, "action_bounds must be numbers"),
     "bounds of another length": ({"state_bounds": (np.zeros(2), 1)}, r"state_bounds must be .*\(3,\)"),
+    "words as bounds": ({"state_bounds": ("low", "high")}, r"state_bounds must be \(lower, upper\)"),
     "three bounds": ({"action_bounds": (0, 1, 2)}, r"action_bounds must be \(lower, upper\)"),
 }
 
@@ -188,6 +182,25 @@ def test_an_inconsistent_problem_is_refused(case):
         constant = {"dynamics": s, "stage_cost": ca.SX(0), "terminal_cost": 0.0, "path_constraint": None}
         changes = constant | {"observation": None} | changes
     with pytest.raises(ProblemError, match=message):
+        build(**changes)
+
+
+matrix, row = ca.SX.sym("p", 2, 2), ca.SX.sym("u", 1, 2)
+MEANINGLESS = {
+    "both bounds infinite": {"action_bounds": (np.inf, np.inf)},
+    "one bound": {"action_bounds": 1.0},
+    "NaN in the schedule": {"schedule": SCHEDULE * np.nan},
+    "psi as a matrix": {"state": s, "parameters": matrix, "observation": None},
+    "action as a row": {"state": s, "action": row, "observation": None, "action_bounds": (-1, 1)},
+}
+
+
+@pytest.mark.parametrize("case", MEANINGLESS)
+def test_an_argument_nobody_can_mean_is_refused(case):
+    changes = MEANINGLESS[case]
+    if "state" in changes:
+        changes = {"dynamics": s, "stage_cost": ca.SX(0), "terminal_cost": 0.0, "path_constraint": None} | changes
+    with pytest.raises(ProblemError):
         build(**changes)
 
 
@@ -219,23 +232,11 @@ def test_a_guess_of_the_wrong_shape_is_refused(solver, guess):
         Ipopt().solve(build(), S0, PSI, CONTEXT, guess=Trajectory(STATES[1:], ACTIONS))
 
 
-def test_keypoint_problem_moves_by_displacements_and_sees_keypoints_in_its_unit():
-    robot, theta = Robot.from_example_data("ur5"), np.array([0.2, -1.0, 1.1, -0.4, 0.6, 0.1])
-    problem = keypoint_ocp(robot, KeypointCost(Default()), 3, unit=0.01)
-    steps = np.random.default_rng(0).normal(0, 0.1, (3, 6))
-    s0 = keypoint_state(robot, theta, unit=0.01)
-    states = problem.simulate(s0, steps).states
-    positions = theta + np.vstack([np.zeros(6), np.cumsum(steps, axis=0)])
-    keypoints = np.array([robot.locate(q).ravel() for q in positions]) / 0.01  # [cm]
-    np.testing.assert_allclose(states, np.hstack([keypoints, positions, np.zeros((4, 6))]), rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(np.array(problem.observe(states.T)).T, states[:, :9])
+OPTIONS = [(GradientDescent, {"steps": 0}), (GradientDescent, {"steps": 1.5}), (GradientDescent, {"step_size": np.nan})]
+OPTIONS += [(Ipopt, {"tolerance": 0.0}), (Ipopt, {"max_iterations": 0}), (Ipopt, {"barrier": -1.0})]
 
 
-def test_keypoint_problem_refuses_meaningless_numbers():
-    robot = Robot.from_example_data("ur5")
-    for change in ({"unit": 0.0}, {"max_displacement": -1.0}, {"unit": np.nan}):
-        with pytest.raises(ProblemError, match="must be positive"):
-            keypoint_ocp(robot, KeypointCost(Default()), 3, **change)
-    for theta in (np.zeros(7), np.full(6, np.nan)):
-        with pytest.raises(ProblemError, match="theta must be 6 finite joint positions"):
-            keypoint_state(robot, theta)
+@pytest.mark.parametrize(("solver", "option"), OPTIONS, ids=str)
+def test_a_meaningless_option_is_refused(solver, option):
+    with pytest.raises(ProblemError, match=next(iter(option))):
+        solver(**option)

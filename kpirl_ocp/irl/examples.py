@@ -11,7 +11,12 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp import OCP, Demonstration, GradientDescent, KeypointCost, Robot, Weighted, keypoint_ocp, keypoint_state
+from kpirl_ocp.ocp.costs import KeypointCost, Weighted
+from kpirl_ocp.ocp.gradient_descent import GradientDescent
+from kpirl_ocp.ocp.keypoint_planning import keypoint_ocp, keypoint_state
+from kpirl_ocp.ocp.kinematics import Robot
+from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.types import Demonstration
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,8 +55,8 @@ class RBF:
 
     def matrix(self, horizon: int) -> Array:
         """Kernels (T, J); b = -log 2 / (half the spacing)^2."""
-        if not 2 <= self.kernels <= horizon:
-            raise ProblemError(f"RBF needs 2 <= kernels <= horizon = {horizon}, got {self.kernels}.")
+        if not isinstance(self.kernels, int) or not 2 <= self.kernels <= horizon:
+            raise ProblemError(f"RBF needs whole 2 <= kernels <= horizon = {horizon}, got {self.kernels!r}.")
         centres, spacing = np.linspace(1, horizon, self.kernels, retstep=True)
         times = np.arange(1, horizon + 1)
         return np.exp(-np.log(2.0) * ((times[:, None] - centres) / (spacing / 2)) ** 2)
@@ -79,9 +79,14 @@ class Parametrisation:
     inverse: Callable[[Array], Array]
 
 
+def softplus(x: ca.SX) -> ca.SX:
+    """log(1 + e^x) without overflow; each branch stays finite beyond its own side, so that its derivatives do too."""
+    return ca.if_else(x > 0, x + ca.log1p(ca.exp(-ca.fmax(x, -1))), ca.log1p(ca.exp(ca.fmin(x, 1))))
+
+
 PARAMETRISATIONS = {
     "identity": Parametrisation(lambda x: x, lambda w: w),  # signs are free, as in the paper
-    "softplus": Parametrisation(lambda x: ca.log1p(ca.exp(x)), lambda w: w + np.log(-np.expm1(-w))),
+    "softplus": Parametrisation(softplus, lambda w: w + np.log(-np.expm1(-w))),
     "exp": Parametrisation(ca.exp, np.log),
     "square": Parametrisation(lambda x: x * x, np.sqrt),
 }
@@ -132,7 +137,8 @@ class KeypointCost:
 
     def n_parameters(self, horizon: int, n_observations: int) -> int:
         """Length of psi."""
-        return len(self.initial(horizon, n_observations))
+        n_weights = self.basis.matrix(horizon).shape[1] * n_observations
+        return n_weights + (len(self._efforts(horizon)) if self.learn_effort else 0)
 
     def initial(self, horizon: int, n_observations: int, weights: ArrayLike = 1.0) -> Array:
         """psi with all kernel weights g(Psi) equal to `weights` (broadcast to (J, n_z)) and the effort as given."""
@@ -151,7 +157,10 @@ class KeypointCost:
     def weights(self, psi: ArrayLike, horizon: int, n_observations: int) -> tuple[Array, Array]:
         """W (T, n_z) and rho (T,) of the parameters psi."""
         positive = PARAMETRISATIONS[self.positivity].forward
-        values = np.array(positive(ca.DM(np.asarray(psi, float)))).ravel()
+        psi = np.asarray(psi, float).ravel()
+        if len(psi) != self.n_parameters(horizon, n_observations):
+            raise ProblemError(f"psi must have length {self.n_parameters(horizon, n_observations)}, got {len(psi)}.")
+        values = np.array(positive(ca.DM(psi))).ravel()
         basis = self.basis.matrix(horizon)
         split = basis.shape[1] * n_observations
         W = basis @ values[:split].reshape(-1, n_observations) if split else np.ones((horizon, n_observations))

@@ -77,11 +77,17 @@ def gradient_step(problem: OCP, solver: GradientDescent) -> ca.Function:
 
 
 def project(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX:
-    """P(u): the nearest actions within the bounds, or u itself."""
+    """P(u): the nearest actions within the bounds, or u itself.
+
+    Written with comparisons, because fmin and fmax would turn NaN into a bound. Infinite bounds become huge ones, so
+    that zero times a bound is zero.
+    """
     if not solver.project:
         return u
-    lower, upper = (np.tile(bound, problem.horizon) for bound in problem.action_bounds)
-    return ca.fmax(lower, ca.fmin(u, upper))
+    bounds = (np.clip(bound, -1e300, 1e300) for bound in problem.action_bounds)
+    lower, upper = (ca.DM(np.tile(bound, problem.horizon)) for bound in bounds)
+    below, above = u < lower, u > upper
+    return below * lower + above * upper + (1 - below - above) * u
 
 
 def terminal_point(problem: OCP) -> ca.Function:
@@ -161,13 +167,13 @@ def _bound_multipliers(problem: OCP, actions: Array, slope: Array) -> Array:
     """nu = -slope where an action lies on a bound and the slope pushes it outwards, else 0; (T, n_u)."""
     lower, upper = (np.asarray(bound, float) for bound in problem.action_bounds)
     outwards = ((actions >= upper) & (slope < 0)) | ((actions <= lower) & (slope > 0))
-    return np.where(outwards | (lower == upper), -slope, 0.0)
+    return np.where(outwards, -slope, 0.0)
 
 
 def _status(trajectory: Trajectory, before: float, objective: float, residual: float, tolerance: float) -> Status:
     values = np.concatenate([trajectory.states.ravel(), trajectory.actions.ravel(), [objective, residual]])
     if not np.isfinite(values).all():
-        return Status.NOT_FINITE
+        return Status.DIVERGED if np.isfinite(before) else Status.NOT_FINITE
     if residual <= tolerance:
         return Status.CONVERGED
     return Status.STEPS_TAKEN if objective <= before else Status.DIVERGED

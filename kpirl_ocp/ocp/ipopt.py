@@ -21,6 +21,7 @@ _STATUS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Search_Direction_Becomes_Too_Small": Status.STALLED,
     "Restoration_Failed": Status.STALLED,
+    "Error_In_Step_Computation": Status.STALLED,
     "Diverging_Iterates": Status.DIVERGED,
     "Invalid_Number_Detected": Status.NOT_FINITE,
 }
@@ -87,7 +88,7 @@ class Ipopt:
             objective=float(result["f"]),
             residuals=audit(problem, psi, context, trajectory, multipliers, self.barrier),
             status=_STATUS.get(word, Status.FAILED),
-            iterations=int(str(stats["iter_count"])),
+            iterations=min(max(int(str(stats["iter_count"])), 0), self.max_iterations),  # unset when it never started
             barrier=self.barrier,
             message=f"Ipopt: {word}",
         )
@@ -106,15 +107,12 @@ def _build(problem: OCP, solver: Ipopt, warm: bool) -> ca.Function:
         "acceptable_iter": 0,
         "nlp_scaling_method": "none",  # tolerances and multipliers in the user's units; mu_target is scaled with them
         "bound_relax_factor": 0.0,  # the default moves every bound by 1e-8
-        "fixed_variable_treatment": "make_constraint",  # the default loses their multipliers
         "print_level": 0,
         "sb": "yes",
     }
     if solver.barrier > 0:
-        # Solve this one barrier problem to the full tolerance: left to its schedule, Ipopt stops at 10 mu.
-        # kappa_d would add a linear term to one-sided constraints.
-        factor = solver.tolerance / solver.barrier
-        options |= {"mu_init": solver.barrier, "barrier_tol_factor": factor, "kappa_d": 0.0}
+        # Start at the one barrier problem to be solved; kappa_d would add a linear term to one-sided constraints.
+        options |= {"mu_init": solver.barrier, "kappa_d": 0.0}
     if warm:
         options |= {
             "warm_start_init_point": "yes",

@@ -177,7 +177,8 @@ def _joint_axes(model: pin.Model) -> list[np.ndarray]:
     axes = [np.zeros(3)]
     for index in range(1, model.njoints):
         joint = model.joints[index]
-        jacobian = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)[:, joint.idx_v]
+        jacobian = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)
+        jacobian = jacobian.reshape(6, -1)[:, joint.idx_v]  # a single joint comes as a vector
         axis = jacobian[:3] if joint.shortname() in _PRISMATIC else jacobian[3:]
         axes.append(np.where(np.abs(axis) < 1e-15, 0.0, axis))  # rounding of an axis-aligned joint
     return axes
@@ -203,15 +204,18 @@ def _read_urdf(path: Path) -> pin.Model:
 
 
 def _as_keypoints(keypoints: Mapping[str, object] | tuple[Keypoint, ...]) -> tuple[Keypoint, ...]:
-    if not isinstance(keypoints, Mapping):
-        return tuple(keypoints)
-    result = []
-    for link, points in keypoints.items():
+    pairs = keypoints.items() if isinstance(keypoints, Mapping) else [(k.link, k.position) for k in keypoints]
+    return tuple(Keypoint(link, (x, y, z)) for link, points in pairs for x, y, z in _as_points(link, points))
+
+
+def _as_points(link: str, points: object) -> list[list[float]]:
+    try:
         array = np.atleast_2d(np.asarray(points, float))  # (n, 3)
-        if array.ndim != 2 or array.shape[1] != 3 or not np.isfinite(array).all():
-            raise RobotError(f"keypoints of link {link!r} must be finite points (n, 3) [m], got {points!r}.")
-        result += [Keypoint(link, (x, y, z)) for x, y, z in array.tolist()]
-    return tuple(result)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.ndim != 2 or array.shape[1] != 3 or not np.isfinite(array).all():
+        raise RobotError(f"keypoints of link {link!r} must be finite points (n, 3) [m], got {points!r}.")
+    return array.tolist()
 
 
 def _object_held_by(link: str) -> tuple[Keypoint, ...]:

@@ -27,12 +27,21 @@ def compiled(function: ca.Function) -> ca.Function:
         return function
     generator = ca.CodeGenerator(f"{function.name()}.c")
     generator.add(function)
-    source = generator.dump()
+    try:
+        library = _library(compiler, function.name(), generator.dump())
+    except (OSError, subprocess.CalledProcessError) as error:
+        _warn_slow(f"{compiler} could not compile {function.name()}: {error}")
+        return function
+    return ca.external(function.name(), str(library))
+
+
+def _library(compiler: str, name: str, source: str) -> Path:
+    """The shared library of a C source: from the cache, or built."""
     key = "\0".join([source, compiler, _identity(compiler), *_FLAGS])
-    library = cache_directory() / f"{function.name()}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
+    library = cache_directory() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     if not library.exists():
         _build(compiler, source, library)
-    return ca.external(function.name(), str(library))
+    return library
 
 
 def cache_directory() -> Path:
@@ -45,13 +54,13 @@ def cache_directory() -> Path:
 def _compiler() -> str | None:
     path = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if path is None:
-        warnings.warn(
-            "no C compiler (cc, gcc, clang) was found: everything runs on CasADi's virtual machine, "
-            "with the same results, several times slower.",
-            RuntimeWarning,
-            stacklevel=3,
-        )
+        _warn_slow("no C compiler (cc, gcc, clang) was found")
     return path
+
+
+def _warn_slow(reason: str) -> None:
+    consequence = "this runs on CasADi's virtual machine, with the same results, several times slower."
+    warnings.warn(f"{reason}: {consequence}", RuntimeWarning, stacklevel=3)
 
 
 @lru_cache(maxsize=4)

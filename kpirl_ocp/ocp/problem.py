@@ -52,11 +52,14 @@ class OCP:
     schedule: ArrayLike | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.horizon, int) or self.horizon < 1:
+        if not isinstance(self.horizon, int | np.integer) or isinstance(self.horizon, bool) or self.horizon < 1:
             raise ProblemError(f"horizon must be a whole number of at least 1 step, got {self.horizon!r}.")
+        object.__setattr__(self, "horizon", int(self.horizon))
         schedule = np.zeros((self.horizon + 1, 0)) if self.schedule is None else np.asarray(self.schedule, float)
-        if schedule.ndim != 2 or len(schedule) != self.horizon + 1:
-            raise ProblemError(f"schedule must be (T+1, n_d) = ({self.horizon + 1}, n_d), got {schedule.shape}.")
+        if schedule.ndim != 2 or len(schedule) != self.horizon + 1 or not np.isfinite(schedule).all():
+            raise ProblemError(
+                f"schedule must be finite and (T+1, n_d) = ({self.horizon + 1}, n_d), got {schedule.shape}."
+            )
         object.__setattr__(self, "schedule", schedule)
         self._check_signatures(schedule.shape[1])
         object.__setattr__(self, "action_bounds", _broadcast_bounds("action", self.action_bounds, self.n_actions))
@@ -235,10 +238,11 @@ class OCP:
             if function is None:
                 continue
             found = tuple(function.size1_in(i) for i in range(function.n_in()))
+            columns = all(function.size2_in(i) == 1 for i in range(function.n_in()))
             out = (function.n_out(), *function.size_out(0))
-            if found != sizes or out != (1, size_out if size_out is not None else out[1], 1):
+            if found != sizes or not columns or out != (1, size_out if size_out is not None else out[1], 1):
                 raise ProblemError(
-                    f"{name} must take vectors of lengths {sizes} and return one column"
+                    f"{name} must take column vectors of lengths {sizes} and return one column"
                     f"{'' if size_out is None else f' of length {size_out}'}; it is {function}."
                 )
 
@@ -260,8 +264,10 @@ def _matrix(name: str, axes: str, value: ArrayLike, shape: tuple[int, int]) -> A
 def _broadcast_bounds(name: str, bounds: Bounds, length: int) -> tuple[Array, Array]:
     try:
         lower, upper = (np.array(np.broadcast_to(np.asarray(bound, float), (length,))) for bound in bounds)
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise ProblemError(f"{name}_bounds must be (lower, upper), each a number or ({length},).") from error
-    if np.isnan(lower).any() or np.isnan(upper).any() or (lower > upper).any():
-        raise ProblemError(f"{name}_bounds: every lower bound must be a number not above its upper bound.")
+    if not ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all():
+        raise ProblemError(
+            f"{name}_bounds must be numbers: no lower bound above its upper bound or at inf, no upper bound at -inf."
+        )
     return lower, upper

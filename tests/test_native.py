@@ -1,0 +1,134 @@
+"""Compiled functions: the numbers of CasADi's virtual machine, one file per content, and no need of a compiler."""
+
+import shutil
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from problems import pendulum
+
+from kpirl_ocp import GradientDescent
+from kpirl_ocp.ocp import native
+
+needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "kpirl_ocp"
+
+
+@pytest.fixture
+def hide_compiler(tmp_path, monkeypatch):
+    def hide():
+        monkeypatch.setenv("PATH", str(tmp_path))
+        native._compiler.cache_clear()
+
+    yield hide
+    native._compiler.cache_clear()
+
+
+def polynomial(factor=2.0, name="polynomial"):
+    x, p = ca.SX.sym("x", 3), ca.SX.sym("p")
+    rounded = (x[0] + x[1]) - (x[1] + x[2])  # not x0 - x2 in floating point
+    return ca.Function(name, [x, p], [ca.sumsqr(x) * p, ca.vertcat(factor * x[0], ca.fmax(x[1], p), rounded)])
+
+
+@needs_compiler
+def test_a_compiled_function_equals_the_virtual_machine(cache):
+    function, rng = pendulum().problem.rollout.jacobian(), np.random.default_rng(0)
+    compiled = native.compiled(function)
+    assert compiled.class_name() != function.class_name()
+    for _ in range(20):
+        point = [rng.normal(size=function.size_in(i)) for i in range(function.n_in())]
+        for found, expected in zip(compiled(*point), function(*point), strict=True):
+            scale = max(1.0, np.abs(np.array(expected)).max(initial=0))
+            np.testing.assert_allclose(np.array(found), np.array(expected), rtol=0, atol=1e-14 * scale)
+
+
+@needs_compiler
+def test_rounding_nan_and_infinity_are_those_of_the_virtual_machine(cache):
+    function = polynomial()
+    compiled = native.compiled(function)
+    for point in ([1, 1e200, -1], [1, np.nan, -1], [np.nan, 1, 2], [np.inf, -np.inf, np.inf], [0, 0, -0.0]):
+        for p in (1.0, np.nan):
+            found, expected = (np.array(ca.vertcat(*f(point, p))) for f in (compiled, function))
+            np.testing.assert_array_equal(found, expected)
+
+
+@needs_compiler
+def test_compiling_the_same_function_twice_reuses_one_file(cache):
+    native.compiled(polynomial())
+    (library,) = cache.iterdir()
+    before = library.stat()
+    again = native.compiled(polynomial())
+    assert list(cache.iterdir()) == [library]
+    assert (library.stat().st_ino, library.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
+    assert float(again([1, 2, 3], 2)[0]) == 28
+
+
+@needs_compiler
+def test_functions_of_one_name_and_different_content_do_not_share_a_file(cache):
+    two, five = native.compiled(polynomial(2.0)), native.compiled(polynomial(5.0))
+    assert len(list(cache.iterdir())) == 2
+    assert (float(two([1, 1, 1], 1)[1][0]), float(five([1, 1, 1], 1)[1][0])) == (2, 5)
+
+
+@needs_compiler
+def test_nothing_is_written_but_the_library_and_that_not_to_the_working_directory(cache, tmp_path, monkeypatch):
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    native.compiled(polynomial())
+    assert list(here.iterdir()) == []
+    assert [path.suffix for path in cache.iterdir()] == [".so"]
+
+
+def test_without_a_compiler_the_function_itself_is_returned_with_one_warning(cache, hide_compiler):
+    hide_compiler()
+    function = polynomial()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert native.compiled(function) is function
+        assert native.compiled(polynomial(name="another")).name() == "another"
+    assert [warning.category for warning in caught] == [RuntimeWarning]
+    assert "no C compiler (cc, gcc, clang)" in str(caught[0].message)
+    assert not cache.exists()
+
+
+@needs_compiler
+def test_gradient_descent_gives_the_same_solution_without_a_compiler(cache, hide_compiler):
+    case, solver = pendulum(), GradientDescent(5, 0.1)
+    one, other = replace(case.problem), replace(case.problem)  # nothing built for them yet
+    fast = solver.solve(one, case.demonstration.s0, case.psi)
+    assert list(cache.glob("*.so"))
+    hide_compiler()
+    with pytest.warns(RuntimeWarning, match="virtual machine"):
+        slow = solver.solve(other, case.demonstration.s0, case.psi)
+    np.testing.assert_allclose(fast.actions, slow.actions, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("value", [None, ""])
+def test_without_the_variable_the_cache_is_in_the_home_directory(value, monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    if value is not None:
+        monkeypatch.setenv("XDG_CACHE_HOME", value)
+    assert native.cache_directory() == Path.home() / ".cache" / "kpirl_ocp"
+
+
+@needs_compiler
+@pytest.mark.parametrize("fault", ["compiler fails", "cache cannot be written"])
+def test_when_compiling_fails_the_function_itself_is_returned_with_a_warning(fault, cache, monkeypatch, tmp_path):
+    if fault == "compiler fails":
+        (tmp_path / "cc").write_text("#!/bin/sh\nexit 1\n")
+        (tmp_path / "cc").chmod(0o755)
+        monkeypatch.setattr(native, "_compiler", lambda: str(tmp_path / "cc"))
+    else:
+        (tmp_path / "cache").write_text("a file where the directory should be")
+    function = polynomial(name="unlucky")
+    with pytest.warns(RuntimeWarning):
+        assert native.compiled(function) is function
