@@ -8,7 +8,7 @@ export OPENBLAS_NUM_THREADS = 1
 .PHONY: demo test study benchmark clean
 
 demo: .venv/installed
-	$(BIN)/python scripts/learn_cost.py --task placing --out out/demo
+	$(BIN)/python scripts/learn_cost.py --task placing --method implicit --out out/demo
 
 study: .venv/installed
 	$(BIN)/python scripts/simulation_study.py --out out/study

@@ -59,7 +59,7 @@ class Status(Enum):
     ITERATION_LIMIT = "the iteration limit was reached. Raise max_iterations, or pass a better guess."
     INFEASIBLE = "no feasible point was found nearby. Relax the bounds or path constraints, or pass another guess."
     STALLED = "no further progress was possible. Rescale the problem, smooth its kinks, or pass another guess."
-    DIVERGED = "the iterates diverged. Use a smaller step size, or add effort weight so that a minimum exists."
+    DIVERGED = "the iterates diverged, or left the domain of a function. Use a smaller step size, or add effort weight."
     NOT_FINITE = "a function returned NaN or infinity. Check dynamics and costs at the guess, and their parameters."
     FAILED = "the solver gave up; its own message says why."
 

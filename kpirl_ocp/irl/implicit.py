@@ -10,7 +10,7 @@ one adjoint solve with the symmetric KKT matrix (`kpirl_ocp.ocp.sensitivity`), h
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -22,18 +22,22 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradient import Certificate, HypergradientResult, check_policy, enforce, not_finite, seen
 from kpirl_ocp.irl.loss import Loss, squared_distance
 from kpirl_ocp.ocp.ipopt import Ipopt
-from kpirl_ocp.ocp.kkt import pack, transcribe
+from kpirl_ocp.ocp.kkt import transcribe
+from kpirl_ocp.ocp.probe import Probe, probe
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.sensitivity import Adjoint, KKTSystem, linearise, solve_adjoint
+from kpirl_ocp.ocp.sensitivity import Factorisation, linearise, path_forces, primal_dual, scatter
 from kpirl_ocp.ocp.solver import Guess, Solver
-from kpirl_ocp.types import Array, Demonstration, Mask, Solution, Status
+from kpirl_ocp.types import Demonstration, Mask, Solution, Status
 
 # What a certified gradient needs. Every bound sits well above what rounding and a solver tolerance of 1e-10 leave
 # behind, and well below what a healthy problem shows.
 KKT_RESIDUAL = 1e-6
-CURVATURE = 1e-8  # smallest eigenvalue of the reduced Hessian over the largest of the condensed Hessian
-QUALIFICATION = 1e-7  # smallest singular value of the active Jacobian, rows of length one
-MARGIN = 1e-5  # larger of multiplier and slack; a weakly active row has about sqrt(1e-11) of both after Ipopt
+CURVATURE = 1e-8
+QUALIFICATION = 1e-7
+STEP = 1e-5
+MARGIN = 1e-7
+CHANGE = 1e-4
+KINK = 1e-3
 LINEAR_RESIDUAL = 1e-8
 
 
@@ -45,8 +49,12 @@ class ImplicitCertificate(Certificate):
     curvature: smallest eigenvalue of the reduced Hessian over the largest |eigenvalue| of the condensed Hessian; the
         second-order condition asks it to be positive. Infinite when the active constraints leave no freedom.
     qualification: smallest singular value of the normalised active Jacobian (LICQ); infinite when nothing is active.
-    margin: smallest of max(multiplier, slack) over the inequalities (strict complementarity); infinite without any.
-    linear_residual: of the KKT system, relative.
+    step: length of a Newton step on the KKT conditions with this active set, relative: the error of the solution.
+    margin: smallest multiplier of an active and slack of an inactive row after that step (strict complementarity);
+        infinite without inequalities.
+    change: relative change of the adjoint under the step: is the solution close enough to differentiate?
+    kink: relative disagreement of second derivatives with differences of the gradient: is the problem smooth here?
+    linear_residual: of the adjoint system, relative.
     active: (n_ineq,) bool; finite lower bounds of w, finite upper bounds of w, then path constraints stage by stage.
     barrier: tau; above zero the gradient is that of the smoothed problem.
     """
@@ -54,7 +62,10 @@ class ImplicitCertificate(Certificate):
     kkt_residual: float
     curvature: float
     qualification: float
+    step: float
     margin: float
+    change: float
+    kink: float
     linear_residual: float
     active: Mask
     barrier: float
@@ -97,18 +108,39 @@ def differentiate(
 ) -> HypergradientResult:
     """Loss, implicit gradient and certificate at a solution that any solver found; read the certificate."""
     s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
-    observed = seen(problem, demonstration)
-    outputs = _loss_and_slope(problem, loss)(solution.states.T, solution.actions.T, observed)
+    outputs = _loss_and_slope(problem, loss)(solution.states.T, solution.actions.T, seen(problem, demonstration))
     value, slope = float(outputs[0]), np.array(outputs[1]).ravel()
-    system = linearise(problem, psi, context, solution)
-    if system.finite and np.isfinite(slope).all():
-        adjoint = solve_adjoint(system, slope, problem.horizon * problem.n_states)
-    else:
-        adjoint = Adjoint.undefined(slope, problem.horizon * problem.n_states, system.n_path)
-    lam, mu = solution.multipliers.dynamics.ravel(), solution.multipliers.path.ravel()
-    arguments = (pack(solution.trajectory), s0, psi, context, lam, mu, adjoint.w, adjoint.dynamics, adjoint.path)
-    gradient = -np.array(transcribe(problem).cross(*arguments)).ravel()
-    return HypergradientResult(value, gradient, _certificate(solution, system, adjoint, value, gradient))
+    point, active = primal_dual(problem, psi, context, solution)
+    system = linearise(problem, s0, psi, context, point, active, solution.barrier)
+    if not system.finite or not np.isfinite(slope).all():
+        return _undefined(value, len(psi), solution, active)
+
+    factors = Factorisation(system)
+    w, costates, forces, residual = factors.solve(slope, np.zeros(system.n_defects), np.zeros(int(active.sum())))
+    forces = scatter(active, forces) + system.stiffness * (system.rows @ w)
+    arguments = (point.w, s0, psi, context, point.costates, path_forces(problem, point.forces))
+    adjoint = (w, costates, path_forces(problem, forces))
+    gradient = -np.array(transcribe(problem).cross(*arguments, *adjoint)).ravel()
+
+    nearby = Probe(np.inf, np.nan, np.inf, np.inf)
+    if np.isfinite(w).all():
+        nearby = probe(problem, s0, psi, context, system, factors, solution.barrier, slope, w)
+    evidence = ImplicitCertificate(
+        solution=solution,
+        failures=(),
+        kkt_residual=solution.residuals.worst,
+        curvature=factors.curvature,
+        qualification=factors.qualification,
+        step=nearby.step,
+        margin=nearby.margin,
+        change=nearby.change,
+        kink=nearby.kink,
+        linear_residual=residual,
+        active=active,
+        barrier=solution.barrier,
+    )
+    failures = tuple(not_finite(value, gradient) + _failures(evidence))
+    return HypergradientResult(value, gradient, replace(evidence, failures=failures))
 
 
 @lru_cache(maxsize=64)
@@ -122,46 +154,65 @@ def _loss_and_slope(problem: OCP, loss: Loss) -> ca.Function:
     return ca.Function("loss_and_slope", [states, actions, observed], [value, slope])
 
 
-def _certificate(
-    solution: Solution, system: KKTSystem, adjoint: Adjoint, loss: float, gradient: Array
-) -> ImplicitCertificate:
-    residual = solution.residuals.worst
+def _undefined(loss: float, n_parameters: int, solution: Solution, active: Mask) -> HypergradientResult:
+    """The answer where derivatives are NaN or infinite: NaN, and said so."""
+    gradient = np.full(n_parameters, np.nan)
+    names = ("curvature", "qualification", "step", "margin", "change", "kink", "linear_residual")
+    certificate = ImplicitCertificate(
+        solution=solution,
+        failures=(*not_finite(loss, gradient), _not_converged(solution)),
+        kkt_residual=solution.residuals.worst,
+        active=active,
+        barrier=solution.barrier,
+        **dict.fromkeys(names, np.nan),
+    )
+    return HypergradientResult(loss, gradient, certificate)
+
+
+def _not_converged(solution: Solution) -> str:
+    return f"The solver did not converge: {solution.status.name}, {solution.status.value}"
+
+
+def _failures(found: ImplicitCertificate) -> list[str]:
+    """A sentence for every condition that does not hold; comparisons are written so that NaN fails."""
     conditions = (
+        (found.solution.status is Status.CONVERGED, _not_converged(found.solution)),
         (
-            solution.status is Status.CONVERGED,
-            f"The solver did not converge: {solution.status.name}, {solution.status.value}",
+            found.kkt_residual <= KKT_RESIDUAL,
+            f"The KKT residual is {found.kkt_residual:.1e}, above {KKT_RESIDUAL:.0e}: solve to a tighter tolerance.",
         ),
         (
-            residual <= KKT_RESIDUAL,
-            f"The KKT residual is {residual:.1e}, above {KKT_RESIDUAL:.0e}: solve to a tighter tolerance.",
-        ),
-        (
-            adjoint.curvature >= CURVATURE,
-            f"The reduced Hessian has relative eigenvalue {adjoint.curvature:.1e}, below {CURVATURE:.0e}: this is no "
+            found.curvature >= CURVATURE,
+            f"The reduced Hessian has relative eigenvalue {found.curvature:.1e}, below {CURVATURE:.0e}: this is no "
             "strict minimum; add effort weight, or start elsewhere.",
         ),
         (
-            adjoint.qualification >= QUALIFICATION,
-            f"Active constraints depend on each other (singular value {adjoint.qualification:.1e}): remove one.",
+            found.qualification >= QUALIFICATION,
+            f"Active constraints depend on each other (singular value {found.qualification:.1e}): remove one.",
         ),
         (
-            system.margin >= MARGIN,
-            f"An inequality is weakly active (multiplier and slack at most {system.margin:.1e}): the gradient differs "
-            "on either side; use policy='smooth'.",
+            found.step <= STEP,
+            f"A Newton step still moves the solution by {found.step:.1e}: solve to a tighter tolerance, or scale the "
+            "cost up.",
         ),
         (
-            adjoint.residual <= LINEAR_RESIDUAL,
-            f"The KKT system was solved to {adjoint.residual:.1e} only: it is close to singular.",
+            found.margin >= MARGIN,
+            f"An inequality is weakly active, or its side is unclear (margin {found.margin:.1e}): the gradient may "
+            "differ on either side; use policy='smooth'.",
+        ),
+        (
+            found.change <= CHANGE,
+            f"A Newton step changes the adjoint by {found.change:.1e} of itself: the solution is too far from exact, "
+            "or about to jump; solve to a tighter tolerance, rescale the cost, or add effort weight.",
+        ),
+        (
+            found.kink <= KINK,
+            f"Second derivatives disagree with differences by {found.kink:.1e}: the solution sits on a kink; use a "
+            "smooth cost and dynamics (softplus or tanh for ReLU).",
+        ),
+        (
+            found.linear_residual <= LINEAR_RESIDUAL,
+            f"The KKT system was solved to {found.linear_residual:.1e} only: it is close to singular.",
         ),
     )
-    return ImplicitCertificate(
-        solution=solution,
-        failures=tuple(not_finite(loss, gradient) + [text for holds, text in conditions if not holds]),
-        kkt_residual=residual,
-        curvature=adjoint.curvature,
-        qualification=adjoint.qualification,
-        margin=system.margin,
-        linear_residual=adjoint.residual,
-        active=system.counted if solution.barrier == 0 else np.zeros_like(system.counted),
-        barrier=solution.barrier,
-    )
+    return [text for holds, text in conditions if not holds]

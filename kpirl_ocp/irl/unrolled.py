@@ -40,7 +40,7 @@ from kpirl_ocp.ocp.gradient_descent import (
 from kpirl_ocp.ocp.native import compiled
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.solver import Guess, guess_actions
-from kpirl_ocp.types import Array, Demonstration
+from kpirl_ocp.types import Array, Demonstration, Solution
 
 # An iterate this close to a bound before projection [units of u] sits on the kink of the projection.
 _KINK = 1e-12
@@ -66,6 +66,8 @@ class UnrolledCertificate(Certificate):
 @dataclass(frozen=True)
 class Unrolled:
     """The exact gradient of the loss after all N steps.
+
+    It is the derivative of what the steps do, whether or not they converge: `certificate.solution.status` says that.
 
     solver: the gradient descent to unroll; no other solver can be.
     loss: IRL loss.
@@ -140,7 +142,7 @@ def sweep(
     solution = finish(problem, solver, initial, point)
     certificate = UnrolledCertificate(
         solution=solution,
-        failures=tuple(_failures(value, gradient, remainder, kink, solver.steps - last)),
+        failures=tuple(_failures(solution, value, gradient, remainder, kink, solver.steps - last)),
         steps=solver.steps,
         differentiated=last,
         remainder=remainder,
@@ -149,8 +151,12 @@ def sweep(
     return HypergradientResult(value, gradient, certificate)
 
 
-def _failures(loss: float, gradient: Array, remainder: float, kink: float, left_out: int) -> list[str]:
+def _failures(
+    solution: Solution, loss: float, gradient: Array, remainder: float, kink: float, left_out: int
+) -> list[str]:
     failures = not_finite(loss, gradient)
+    if not np.isfinite(solution.objective):
+        failures.append("The inner cost is NaN or infinite: look at the solution's status and the cost.")
     if left_out and not remainder <= _REMAINDER:
         failures.append(f"Truncated: the first {left_out} steps are left out, with {remainder:.1e} of the adjoint.")
     if not kink > _KINK:

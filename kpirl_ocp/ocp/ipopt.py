@@ -112,7 +112,9 @@ def _build(problem: OCP, solver: Ipopt, warm: bool) -> ca.Function:
     }
     if solver.barrier > 0:
         # Start at the one barrier problem to be solved; kappa_d would add a linear term to one-sided constraints.
-        options |= {"mu_init": solver.barrier, "kappa_d": 0.0}
+        # The tolerance bounds multiplier * slack - tau, so it has to be small beside tau.
+        tolerance = min(solver.tolerance, max(1e-6 * solver.barrier, 1e-13))
+        options |= {"tol": tolerance, "mu_init": solver.barrier, "kappa_d": 0.0}
     if warm:
         options |= {
             "warm_start_init_point": "yes",

@@ -1,13 +1,13 @@
-"""The KKT system at a solution, and its adjoint solve.
+"""The KKT system at a point, factorised once and solved for any right-hand side.
 
-    H wbar + A^T lambar + C^T mubar = r,    A wbar = 0,    C wbar = 0
+    H w + A^T lambda + C^T mu = r_w,    A w = r_d,    C w = r_c
 
 H is the exact Hessian of the Lagrangian, A = (A_s, A_u) the Jacobian of the defects, C that of the active inequalities.
-Condensing removes the dynamics: wbar = Z x with Z = (-A_s^{-1} A_u, I), a small dense system in the actions remains,
-and its null space of C shows the second-order condition and the constraint qualification.
+Condensing removes the dynamics: w = w_p + Z y with Z = (-A_s^{-1} A_u, I) leaves a small dense system in the actions,
+and the null space of C Z shows the second-order condition and the constraint qualification.
 
-Smoothed with a barrier parameter tau every inequality stays, with mu_i slack_i = tau: C then holds all rows, H becomes
-H + C^T diag(mu / slack) C, nothing is constrained, and mubar = diag(mu / slack) C wbar.
+Smoothed with a barrier parameter tau, every inequality g <= 0 leaves C and adds mu / slack grad g grad g^T to H
+instead, with mu = tau / slack; only equalities (coinciding bounds) stay in C.
 """
 
 from __future__ import annotations
@@ -21,139 +21,151 @@ import scipy.sparse.linalg
 
 from kpirl_ocp.ocp.kkt import Inequalities, pack, transcribe
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.types import Array, Indices, Mask, Solution
+from kpirl_ocp.types import Array, Mask, Multipliers, Solution
+
+_RANK = 1e-12  # singular values of rows of length one below this are zero
+
+
+@dataclass(frozen=True)
+class PrimalDual:
+    """A point of the program: w (n_w,), costates (T n_s,), and multipliers >= 0 of the inequalities (n_ineq,)."""
+
+    w: Array
+    costates: Array
+    forces: Array
 
 
 @dataclass(frozen=True)
 class KKTSystem:
-    """The matrices at a solution; w = (states, actions) with n_w entries.
+    """First and second derivatives at a point; the inequalities are listed as in `Inequalities`.
 
-    hessian: H (n_w, n_w) sparse. defects: A (T n_s, n_w) sparse.
-    rows: C (n_rows, n_w), the inequalities that count.
-    stiffness: (n_rows,) mu / slack when smoothed; None when the rows are active constraints.
-    counted: (n_ineq,) bool, which inequalities the rows are: finite lower bounds of w, finite upper bounds, path.
-    path_rows: which of the T n_h path constraints are among them; they are the last of the rows.
-    n_path: T n_h.
-    margin: smallest max(multiplier, slack) over the inequalities; infinite without any, or when smoothed.
+    hessian: of J + lambda.defects + mu.path (n_w, n_w). jacobian: of the defects (T n_s, n_w).
+    rows: Jacobian of the inequalities' values -slack (n_ineq, n_w). slack: (n_ineq,).
+    gradient: of J + lambda.defects (n_w,). defects: (T n_s,).
+    active: (n_ineq,) which rows are constraints. equal: (n_ineq,) which of them are equalities.
+    stiffness: (n_ineq,) mu / slack of smoothed rows, zero for the others.
     """
 
+    point: PrimalDual
     hessian: scipy.sparse.csc_matrix
-    defects: scipy.sparse.csc_matrix
+    jacobian: scipy.sparse.csc_matrix
     rows: Array
-    stiffness: Array | None
-    counted: Mask
-    path_rows: Indices
-    n_path: int
-    margin: float
+    gradient: Array
+    defects: Array
+    slack: Array
+    active: Mask
+    equal: Mask
+    stiffness: Array
 
     @property
     def finite(self) -> bool:
-        """True if no matrix holds NaN or infinity."""
-        return all(np.isfinite(values).all() for values in (self.hessian.data, self.defects.data, self.rows))
+        """True if no derivative holds NaN or infinity."""
+        parts = (self.hessian.data, self.jacobian.data, self.rows, self.gradient, self.stiffness)
+        return all(np.isfinite(part).all() for part in parts)
+
+    @property
+    def n_defects(self) -> int:
+        """T n_s, which is also how many entries of w are states."""
+        return len(self.defects)
 
 
-@dataclass(frozen=True)
-class Adjoint:
-    """Solution of the adjoint system, and what was measured on the way.
-
-    w: wbar (n_w,). dynamics: lambar (T n_s,). path: mubar of all path constraints (T n_h,), zero where not active.
-    curvature: smallest eigenvalue of the reduced Hessian over the largest |eigenvalue| of the condensed Hessian.
-    qualification: smallest singular value of the active rows of unit length in the actions; infinite without any.
-    residual: of the linear system, relative to r.
-    """
-
-    w: Array
-    dynamics: Array
-    path: Array
-    curvature: float
-    qualification: float
-    residual: float
-
-    @classmethod
-    def undefined(cls, right: Array, n_states: int, n_path: int) -> Adjoint:
-        """NaN throughout: the system itself is not finite."""
-        w, dynamics, path = (np.full(n, np.nan) for n in (len(right), n_states, n_path))
-        return cls(w, dynamics, path, curvature=np.nan, qualification=np.nan, residual=np.nan)
-
-
-def linearise(problem: OCP, psi: Array, context: Array, solution: Solution) -> KKTSystem:
-    """Evaluate the KKT system; a row is active when its multiplier exceeds its slack (or it is an equality).
+def primal_dual(problem: OCP, psi: Array, context: Array, solution: Solution) -> tuple[PrimalDual, Mask]:
+    """The point of a solution, and its active inequalities: multiplier above slack, or an equality.
 
     Comparing the two, rather than either with a threshold, follows mu * slack -> 0: an inactive row with a tiny
-    multiplier stays inactive, an active row with a tiny slack stays active.
+    multiplier stays inactive, an active row with a tiny slack stays active. In badly chosen units the guess may be
+    wrong; `kpirl_ocp.ocp.probe` finds out.
     """
     nlp, w = transcribe(problem), pack(solution.trajectory)
-    point = (w, solution.states[0], psi, context)
-    multipliers = solution.multipliers
-    matrices = nlp.second(*point, multipliers.dynamics.ravel(), multipliers.path.ravel())
-    hessian, defects, path_jacobian = (matrix.sparse() for matrix in matrices)
-    path = np.array(nlp.values(*point)[2]).ravel()
-    inequalities = Inequalities.at(nlp, w, path, multipliers, solution.barrier)
-    counted, stiffness, margin = _active(inequalities) if solution.barrier == 0 else _stiff(inequalities)
-    return KKTSystem(
-        hessian=hessian,
-        defects=defects,
-        rows=inequalities.jacobian(path_jacobian.toarray())[counted],
-        stiffness=stiffness,
-        counted=counted,
-        path_rows=np.flatnonzero(counted[len(counted) - len(path) :]),
-        n_path=len(path),
-        margin=margin,
-    )
+    path = np.array(nlp.values(w, solution.states[0], psi, context)[2]).ravel()
+    rows = Inequalities.at(nlp, w, path, solution.multipliers, solution.barrier)
+    duplicate = rows.equal & (np.arange(len(rows.equal)) >= len(rows.rows_lower))  # the upper side of an equality
+    active = rows.equal if solution.barrier > 0 else (rows.multiplier > rows.slack) | rows.equal
+    return PrimalDual(w, solution.multipliers.dynamics.ravel(), rows.multiplier), active & ~duplicate
 
 
-def _active(inequalities: Inequalities) -> tuple[Mask, None, float]:
-    """Active rows, no stiffness, and the strict-complementarity margin."""
-    slack, multiplier, equal = inequalities.slack, inequalities.multiplier, inequalities.equal
-    duplicate = equal & (np.arange(len(equal)) >= len(inequalities.rows_lower))  # the upper side of an equality
-    margin = np.min(np.maximum(multiplier, slack)[~equal], initial=np.inf)
-    return ((multiplier > slack) | equal) & ~duplicate, None, float(margin)
-
-
-def _stiff(inequalities: Inequalities) -> tuple[Mask, Array, float]:
-    """All rows, their stiffness mu / slack, and no margin to keep: the smoothed problem has no active set."""
+def linearise(
+    problem: OCP, s0: Array, psi: Array, context: Array, point: PrimalDual, active: Mask, barrier: float = 0.0
+) -> KKTSystem:
+    """Evaluate the KKT system at a point for a given active set."""
+    nlp = transcribe(problem)
+    arguments = (point.w, s0, psi, context)
+    n_path = problem.horizon * problem.n_path
+    mu = point.forces[len(point.forces) - n_path :]
+    hessian, jacobian, path_jacobian = (matrix.sparse() for matrix in nlp.second(*arguments, point.costates, mu))
+    _, defects, path = (np.array(value).ravel() for value in nlp.values(*arguments))
+    gradient = np.array(nlp.first(*arguments, point.costates, np.zeros(n_path))[1]).ravel()
+    nothing = Multipliers(np.empty(0), np.zeros(nlp.n_defects), np.zeros(len(point.w) - nlp.n_defects), mu)
+    rows = Inequalities.at(nlp, point.w, path, nothing, 0.0)
+    smoothed = ~rows.equal if barrier > 0 else np.zeros(len(rows.equal), bool)
     with np.errstate(divide="ignore", invalid="ignore"):
-        stiffness = inequalities.multiplier / inequalities.slack
-    return np.ones(len(stiffness), bool), stiffness, np.inf
-
-
-def solve_adjoint(system: KKTSystem, right: Array, n_states: int) -> Adjoint:
-    """Solve for r = right (n_w,); n_states = T n_s is how many of the entries of w are states.
-
-    A singular reduced Hessian divides by zero: the result then holds infinities or NaN, and `curvature` says why.
-    """
-    state_factor = scipy.sparse.linalg.splu(system.defects[:, :n_states].tocsc())
-    basis = _null_space_of_dynamics(system, state_factor, n_states)  # Z (n_w, T n_u)
-    condensed = basis.T @ (system.hessian @ basis)
-    rows = system.rows @ basis
-    if system.stiffness is not None:
-        condensed = condensed + rows.T @ (system.stiffness[:, None] * rows)
-        rows = rows[:0]
-    free, qualification = _null_space(rows)
-    x, curvature = _solve_on(free, condensed, basis.T @ right)
-    w = basis @ x
-    if system.stiffness is not None:
-        force = system.stiffness * (system.rows @ w)
-    else:
-        force = np.linalg.lstsq(rows.T, basis.T @ right - condensed @ x, rcond=None)[0]
-    unbalanced = right - system.hessian @ w - system.rows.T @ force
-    path = np.zeros(system.n_path)
-    path[system.path_rows] = force[len(force) - len(system.path_rows) :]
-    dynamics = state_factor.solve(unbalanced[:n_states], trans="T")
-    return Adjoint(
-        w=w,
-        dynamics=dynamics,
-        path=path,
-        curvature=curvature,
-        qualification=qualification,
-        residual=_ratio(unbalanced - system.defects.T @ dynamics, right),
+        stiffness = np.where(smoothed, barrier / rows.slack**2, 0.0)
+    return KKTSystem(
+        point=point,
+        hessian=hessian,
+        jacobian=jacobian,
+        rows=rows.jacobian(path_jacobian.toarray()),
+        gradient=gradient,
+        defects=defects,
+        slack=rows.slack,
+        active=active,
+        equal=rows.equal,
+        stiffness=stiffness,
     )
 
 
-def _null_space_of_dynamics(system: KKTSystem, state_factor: scipy.sparse.linalg.SuperLU, n_states: int) -> Array:
-    """Z = (-A_s^{-1} A_u, I): how states follow the actions along the linearised dynamics."""
-    by_actions = system.defects[:, n_states:].toarray()
-    return np.vstack([-state_factor.solve(by_actions), np.eye(by_actions.shape[1])])
+class Factorisation:
+    """The factors of a KKT system.
+
+    curvature: smallest eigenvalue of the reduced Hessian over the largest |eigenvalue| of the condensed one; infinite
+        when the active constraints leave no freedom. softest: (n_w,) the direction of that eigenvalue, of length one.
+    qualification: smallest singular value of the active rows in the actions, scaled to length one; infinite without.
+    """
+
+    def __init__(self, system: KKTSystem) -> None:
+        n = system.n_defects
+        self._system = system
+        self._states = scipy.sparse.linalg.splu(system.jacobian[:, :n].tocsc())
+        by_actions = system.jacobian[:, n:].toarray()
+        self._basis = np.vstack([-self._states.solve(by_actions), np.eye(by_actions.shape[1])])  # Z
+        self._active = system.rows[system.active]
+        self._reduced_rows = self._active @ self._basis
+        self._condensed = self._basis.T @ self._times_hessian(self._basis)
+        self._free, self.qualification = _null_space(self._reduced_rows)
+        self._values, self._vectors = scipy.linalg.eigh(self._free.T @ self._condensed @ self._free)
+        scale = np.abs(scipy.linalg.eigvalsh(self._basis.T @ (system.hessian @ self._basis))).max()
+        self.curvature = np.inf
+        self.softest = np.zeros(len(system.gradient))
+        if len(self._values):
+            self.curvature = float(self._values[0] / scale) if scale > 0 else 0.0
+            direction = self._basis @ (self._free @ self._vectors[:, 0])
+            self.softest = direction / np.linalg.norm(direction)
+
+    def solve(self, right: Array, defects: Array, active: Array) -> tuple[Array, Array, Array, float]:
+        """w, lambda and mu of the active rows for (r_w, r_d, r_c), and the relative residual of the first row.
+
+        A singular reduced Hessian divides by zero: infinities and NaN come out, and `curvature` says why.
+        """
+        n = self._system.n_defects
+        start = np.concatenate([self._states.solve(defects), np.zeros(len(right) - n)])  # A w_p = r_d
+        reduced = self._basis.T @ (right - self._times_hessian(start))
+        step = np.linalg.lstsq(self._reduced_rows, active - self._active @ start, rcond=None)[0]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            slopes = self._vectors.T @ (self._free.T @ (reduced - self._condensed @ step))
+            y = step + self._free @ (self._vectors @ (slopes / self._values))
+            w = start + self._basis @ y
+            forces = np.zeros(len(self._active))
+            if len(forces) and np.isfinite(y).all():
+                forces = np.linalg.lstsq(self._reduced_rows.T, reduced - self._condensed @ y, rcond=None)[0]
+            unbalanced = right - self._times_hessian(w) - self._active.T @ forces
+            costates = self._states.solve(unbalanced[:n], trans="T")
+            error = np.linalg.norm(unbalanced - self._system.jacobian.T @ costates)
+        return w, costates, forces, float(error / (np.linalg.norm(right) or 1.0))
+
+    def _times_hessian(self, w: Array) -> Array:
+        """(H + rows^T stiffness rows) w, for one column or many."""
+        rows, stiffness = self._system.rows, self._system.stiffness
+        return self._system.hessian @ w + rows.T @ ((stiffness * (rows @ w).T).T)
 
 
 def _null_space(rows: Array) -> tuple[Array, float]:
@@ -161,23 +173,19 @@ def _null_space(rows: Array) -> tuple[Array, float]:
     if not len(rows):
         return np.eye(rows.shape[1]), np.inf
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    unit = rows / np.where(lengths > 0, lengths, 1.0)
-    _, singular, right = scipy.linalg.svd(unit)
-    rank = int((singular > 1e-12).sum())
+    _, singular, right = scipy.linalg.svd(rows / np.where(lengths > 0, lengths, 1.0))
+    rank = int((singular > _RANK).sum())
     return right[rank:].T, float(singular.min()) if len(rows) <= rows.shape[1] else 0.0
 
 
-def _solve_on(free: Array, matrix: Array, right: Array) -> tuple[Array, float]:
-    """Solve the symmetric system on the subspace `free`, and give the smallest relative eigenvalue there."""
-    if not free.shape[1]:
-        return np.zeros(len(right)), np.inf
-    scale = np.abs(scipy.linalg.eigvalsh(matrix)).max()
-    values, vectors = scipy.linalg.eigh(free.T @ matrix @ free)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = free @ (vectors @ ((vectors.T @ (free.T @ right)) / values))
-    return x, float(values.min() / scale) if scale > 0 else 0.0
+def path_forces(problem: OCP, forces: Array) -> Array:
+    """The entries (T n_h,) of the path constraints in a list over all inequalities."""
+    n_path = problem.horizon * problem.n_path
+    return forces[len(forces) - n_path :]
 
 
-def _ratio(part: Array, whole: Array) -> float:
-    size = np.linalg.norm(whole)
-    return float(np.linalg.norm(part) / size) if size > 0 else float(np.linalg.norm(part))
+def scatter(active: Mask, values: Array) -> Array:
+    """Values of the active rows in a list over all inequalities, zero elsewhere."""
+    result = np.zeros(len(active))
+    result[active] = values
+    return result
