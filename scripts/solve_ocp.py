@@ -8,7 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from kpirl_ocp import Default, GradientDescent, Ipopt, KeypointCost, Robot, figures, keypoint_ocp, keypoint_state
+from kpirl_ocp import (
+    Default,
+    GradientDescent,
+    Ipopt,
+    KeypointCost,
+    Robot,
+    Solution,
+    figures,
+    keypoint_ocp,
+    keypoint_state,
+)
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 
@@ -18,7 +28,7 @@ def robot_called(name: str) -> Robot:
     return Robot.from_urdf(name) if name.endswith(".urdf") else Robot.from_example_data(name)
 
 
-def main() -> None:
+def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--robot", default="iiwa", help="iiwa, a name of example-robot-data (panda, ur5), or a .urdf file"
@@ -31,10 +41,40 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=500, help="of the gradient solver (default: 500)")
     parser.add_argument("--step-size", type=float, default=3e-3, help="of the gradient solver (default: 0.003)")
     parser.add_argument("--out", default="out/solve_ocp", help="directory to write (default: %(default)s)")
-    args = parser.parse_args()
+    return parser.parse_args()
 
-    robot = robot_called(args.robot)
-    gradient = args.solver == "gradient"
+
+def bent_posture(robot: Robot) -> np.ndarray:
+    """Joint positions away from limits and from stretched postures: mid-range, bent by 0.4 to alternating sides."""
+    lower, upper = robot.joint_limits
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    middle = np.where(bounded, (np.where(bounded, lower, 0) + np.where(bounded, upper, 0)) / 2, 0.3)
+    return np.clip(middle + 0.4 * (-1.0) ** np.arange(robot.n_joints), lower, upper)
+
+
+def draw(solution: Solution, distance: np.ndarray, joints: np.ndarray, limit: float, path: Path) -> Path:
+    """distance (T+1, K) [m] to the goal, joints (T+1, n) [rad], and the actions between their bounds +-limit."""
+    figure, axes = figures.new_figure(1, 3)
+    for index, values in enumerate(distance.T):
+        axes[0].plot(values, marker=".", label=f"keypoint {index}")
+    axes[0].set(title="keypoints", xlabel="time step", ylabel="distance to the goal [m]", ylim=(0, None))
+    for index, values in enumerate(joints.T):
+        axes[1].plot(values, marker=".", label=f"joint {index + 1}")
+    axes[1].set(title="joints", xlabel="time step", ylabel="position [rad]")
+    axes[2].step(range(len(solution.actions)), solution.actions, where="post")
+    for bound in (-limit, limit):
+        axes[2].axhline(bound, color=figures.GREY, ls=":")
+    axes[2].set(title="actions, bounds dotted", xlabel="time step", ylabel="displacement [rad]")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    axes[0].legend()
+    axes[1].legend(fontsize=6, ncols=2)
+    return figures.save(figure, path)
+
+
+def main() -> None:
+    args = parse()
+    robot, gradient = robot_called(args.robot), args.solver == "gradient"
     problem = keypoint_ocp(
         robot,
         KeypointCost(Default(), effort=args.effort),
@@ -42,17 +82,13 @@ def main() -> None:
         joint_limits=not gradient,  # gradient descent projects onto action bounds only
         max_displacement=args.max_displacement,
     )
-    lower, upper = robot.joint_limits
-    bounded = np.isfinite(lower) & np.isfinite(upper)
-    start = np.where(bounded, 0.5 * (np.where(bounded, lower, 0) + np.where(bounded, upper, 0)), 0.3)
-    start = np.clip(start + 0.4 * (-1.0) ** np.arange(robot.n_joints), lower, upper)  # away from stretched postures
-    s0 = keypoint_state(robot, start)
+    start = bent_posture(robot)
     goal = (robot.locate(start) + np.array(args.move)).ravel()
     solver = GradientDescent(args.steps, args.step_size, project=True) if gradient else Ipopt()
-    solution = solver.solve(problem, s0, (), goal)
+    solution = solver.solve(problem, keypoint_state(robot, start), (), goal)
 
-    keypoints = solution.states[:, : goal.size].reshape(args.horizon + 1, -1, 3)
-    distance = np.linalg.norm(keypoints - goal.reshape(-1, 3), axis=2)  # (T+1, K)
+    keypoints, joints, _ = np.split(solution.states, [goal.size, goal.size + robot.n_joints], axis=1)
+    distance = np.linalg.norm((keypoints - goal).reshape(args.horizon + 1, -1, 3), axis=2)
     residuals = solution.residuals
     rows = [
         ["status", solution.status.name],
@@ -68,25 +104,9 @@ def main() -> None:
     print(table(["", "value"], rows) + f"\n{solution.status.name}: {solution.status.value}")
 
     out = output_directory(args.out)
-    figure, axes = figures.new_figure(1, 3)
-    for index, values in enumerate(distance.T):
-        axes[0].plot(values, marker=".", label=f"keypoint {index}")
-    axes[0].legend()
-    axes[0].set(title="keypoints", xlabel="time step", ylabel="distance to the goal [m]", ylim=(0, None))
-    for index, values in enumerate(solution.states[:, goal.size : goal.size + robot.n_joints].T):
-        axes[1].plot(values, marker=".", label=f"joint {index + 1}")
-    axes[1].legend(fontsize=6, ncols=2)
-    axes[1].set(title="joints", xlabel="time step", ylabel="position [rad]")
-    axes[2].step(range(args.horizon), solution.actions, where="post")
-    axes[2].axhline(args.max_displacement, color=figures.GREY, ls=":")
-    axes[2].axhline(-args.max_displacement, color=figures.GREY, ls=":")
-    axes[2].set(title="actions, bounds dotted", xlabel="time step", ylabel="displacement [rad]")
-    for axis in axes:
-        axis.grid(alpha=0.3)
     results = dict(rows) | {"states": solution.states, "actions": solution.actions}
-    print(
-        f"\nnumbers: {write_metrics(out, vars(args), results)}\nfigure:  {figures.save(figure, Path(out) / 'plan.png')}"
-    )
+    print(f"\nnumbers: {write_metrics(out, vars(args), results)}")
+    print(f"figure:  {draw(solution, distance, joints, args.max_displacement, out / 'plan.png')}")
 
 
 if __name__ == "__main__":
