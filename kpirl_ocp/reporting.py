@@ -21,10 +21,8 @@ def run(main: Callable[[], None]) -> None:
     """Run a script; an error that the user can mend is one line on stderr and exit code 2."""
     try:
         main()
-    except KpirlError as error:
+    except (KpirlError, OSError) as error:
         sys.exit(_fail(str(error)))
-    except OSError as error:
-        sys.exit(_fail(f"{error.filename}: {error.strerror}"))
 
 
 def _fail(message: str) -> int:
