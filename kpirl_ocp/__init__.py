@@ -6,8 +6,12 @@
 State a problem with `OCP`, solve it with a solver, differentiate through it with a hypergradient, learn with `learn`.
 """
 
+from kpirl_ocp.irl.apprenticeship import apprenticeship
+from kpirl_ocp.irl.evaluation import evaluate
 from kpirl_ocp.irl.finite_difference import FiniteDifference
 from kpirl_ocp.irl.implicit import Implicit
+from kpirl_ocp.irl.learning import learn
+from kpirl_ocp.irl.optimisers import LBFGS, Adam, Descent
 from kpirl_ocp.irl.unrolled import Truncated, Unrolled
 from kpirl_ocp.ocp.costs import RBF, Default, KeypointCost, TimeDependent, Weighted
 from kpirl_ocp.ocp.gradient_descent import GradientDescent
@@ -18,10 +22,13 @@ from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.types import Demonstration, Solution, Status, Trajectory
 
 __all__ = [
+    "LBFGS",
     "OCP",
     "RBF",
+    "Adam",
     "Default",
     "Demonstration",
+    "Descent",
     "FiniteDifference",
     "GradientDescent",
     "Implicit",
@@ -36,6 +43,9 @@ __all__ = [
     "Truncated",
     "Unrolled",
     "Weighted",
+    "apprenticeship",
+    "evaluate",
     "keypoint_ocp",
     "keypoint_state",
+    "learn",
 ]

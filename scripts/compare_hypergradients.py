@@ -11,10 +11,22 @@ from pathlib import Path
 from tqdm import tqdm
 
 from kpirl_ocp import figures
-from kpirl_ocp.irl.comparison import Measurement, as_row, learn_with_each, measure_all, methods, reference
+from kpirl_ocp.irl.comparison import Measurement, learn_with_each, measure_all, methods, reference
 from kpirl_ocp.irl.examples import CASES, free
 from kpirl_ocp.irl.learning import LearningResult
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
+
+
+def as_row(measurement: Measurement, resolution: float) -> list[object]:
+    """Cells for a table; an error below `resolution`, to which the reference is known, is shown as that."""
+    return [
+        measurement.method,
+        measurement.steps or "-",
+        f"{measurement.error:.1e}" if measurement.error > resolution else f"< {resolution:.1e}",
+        f"{1e3 * measurement.seconds:.3f}",
+        f"{measurement.memory / 2**20:.1f}",
+        measurement.certificate.split(":")[0],
+    ]
 
 
 def draw(measurements: list[Measurement], learning: dict[str, LearningResult], resolution: float, path: Path) -> Path:

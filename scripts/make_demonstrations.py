@@ -6,8 +6,7 @@ The first episode is for training, the others are for testing; starts and goals 
 import argparse
 
 from kpirl_ocp import Robot, figures
-from kpirl_ocp.episodes import write_episodes
-from kpirl_ocp.irl.tasks import FPS, HORIZON, TASKS, demonstrate
+from kpirl_ocp.irl.tasks import HORIZON, TASKS, write_demonstrations
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 
@@ -20,14 +19,9 @@ def main() -> None:
     parser.add_argument("--out", default="out/demonstrations", help="directory to write (default: %(default)s)")
     args = parser.parse_args()
 
-    robot = Robot.iiwa()
-    episodes = demonstrate(robot, args.task, 1 + args.tests, args.seed, args.horizon)
-    meta = {"task": args.task, "robot": "iiwa", "fps": FPS, "seed": args.seed, "train": [0]}
-    meta["test"] = list(range(1, len(episodes)))
     out = output_directory(args.out)
-    write_episodes(out, episodes, meta)
-
-    names = ["train", *(f"test {i}" for i in meta["test"])]
+    episodes = write_demonstrations(out, Robot.iiwa(), args.task, args.tests, args.seed, args.horizon)
+    names = ["train", *(f"test {i}" for i in range(1, len(episodes)))]
     moves = [episode.keypoints[-1, 0] - episode.keypoints[0, 0] for episode in episodes]
     rows = [[name, *map(float, move)] for name, move in zip(names, moves, strict=True)]
     print(table(["episode", "dx [m]", "dy [m]", "dz [m]"], rows))

@@ -9,18 +9,21 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from kpirl_ocp import figures
+from kpirl_ocp import Robot, figures
 from kpirl_ocp.irl.study import METHODS, Curve, StudySettings, run_case
-from kpirl_ocp.irl.tasks import TASKS
+from kpirl_ocp.irl.tasks import TASKS, write_demonstrations
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 Results = dict[tuple[str, int], dict[str, Curve]]
 
 
-def run_all(cases: list[tuple[str, int]], settings: StudySettings, jobs: int) -> Results:
-    """Every case in a process of its own, `jobs` at a time."""
+def run_all(cases: list[tuple[str, int]], settings: StudySettings, jobs: int, out: Path) -> Results:
+    """Demonstrate every case into out/demonstrations, then run each in a process of its own, `jobs` at a time."""
+    directories = [out / "demonstrations" / f"{task}-{seed}" for task, seed in cases]
+    for directory, (task, seed) in zip(directories, cases, strict=True):
+        write_demonstrations(directory, Robot.iiwa(), task, settings.tests, seed, settings.horizon)
     with ProcessPoolExecutor(jobs) as pool:
-        curves = pool.map(run_case, *zip(*cases, strict=True), itertools.repeat(settings))
+        curves = pool.map(run_case, directories, [seed for _, seed in cases], itertools.repeat(settings))
         return dict(zip(cases, tqdm(curves, total=len(cases), desc="study", unit="case"), strict=True))
 
 
@@ -69,13 +72,13 @@ def main() -> None:
     args = parser.parse_args()
 
     settings = StudySettings(iterations=args.iterations, tests=args.tests)
-    results = run_all(list(itertools.product(args.tasks, args.seeds)), settings, args.jobs)
+    out = output_directory(args.out)
+    results = run_all(list(itertools.product(args.tasks, args.seeds)), settings, args.jobs, out)
     header = ["task: method", "train IRL loss [m²]", "test IRL loss [m²]", "relative distance", "rises", "time [s]"]
     print("\n" + table(header, summary(results)))
     print("Mean ± standard deviation over seeds, at the psi with the lowest training loss.")
     print("rises: share of outer iterations in which the training loss went up by more than 1 %.")
 
-    out = output_directory(args.out)
     curves = {f"{t}, seed {s}": {m: asdict(c) for m, c in case.items()} for (t, s), case in results.items()}
     print(f"\nnumbers: {write_metrics(out, vars(args) | asdict(settings), curves)}")
     print(f"figure:  {draw(results, out / 'study.png')}")

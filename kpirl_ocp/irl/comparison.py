@@ -121,15 +121,3 @@ def learn_with_each(name: str, steps: list[int], iterations: int, learning_rate:
         arguments = (case.problem, [case.demonstration], case.psi, method, Adam(learning_rate), iterations)
         results[label] = learn(*arguments, progress=False)
     return results
-
-
-def as_row(measurement: Measurement, resolution: float) -> list[object]:
-    """Cells for a table; an error below `resolution`, to which the reference is known, is shown as that."""
-    return [
-        measurement.method,
-        measurement.steps or "-",
-        f"{measurement.error:.1e}" if measurement.error > resolution else f"< {resolution:.1e}",
-        f"{1e3 * measurement.seconds:.3f}",
-        f"{measurement.memory / 2**20:.1f}",
-        measurement.certificate.split(":")[0],
-    ]

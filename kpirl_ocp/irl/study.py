@@ -8,15 +8,17 @@ apprenticeship learning with the paper's inner loop; the cost of every outer ite
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from kpirl_ocp.episodes import read_episodes
 from kpirl_ocp.irl.apprenticeship import apprenticeship
 from kpirl_ocp.irl.evaluation import evaluate
 from kpirl_ocp.irl.implicit import Implicit
 from kpirl_ocp.irl.learning import LearningResult, learn
 from kpirl_ocp.irl.optimisers import LBFGS, Adam
-from kpirl_ocp.irl.tasks import HORIZON, as_demonstration, demonstrate
+from kpirl_ocp.irl.tasks import HORIZON, as_demonstration
 from kpirl_ocp.irl.unrolled import Unrolled
 from kpirl_ocp.ocp.costs import Default, KeypointCost, Weighted
 from kpirl_ocp.ocp.gradient_descent import GradientDescent
@@ -81,10 +83,9 @@ METHODS = (
 )
 
 
-def run_case(task: str, seed: int, settings: StudySettings) -> dict[str, Curve]:
-    """All methods on one task and seed."""
-    robot = Robot.iiwa()
-    episodes = demonstrate(robot, task, 1 + settings.tests, seed, settings.horizon)
+def run_case(directory: Path, seed: int, settings: StudySettings) -> dict[str, Curve]:
+    """All methods on the episodes of a directory, the first for training, the others for testing."""
+    robot, (episodes, _) = Robot.iiwa(), read_episodes(directory)
     demonstrations = [as_demonstration(robot, episode) for episode in episodes]
     train, test = demonstrations[:1], demonstrations[1:]
     rng = np.random.default_rng(seed)

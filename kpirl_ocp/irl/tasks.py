@@ -10,11 +10,12 @@ follow by tracking that path with the OCP toolkit, within the joint limits. A de
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.episodes import Episode
+from kpirl_ocp.episodes import Episode, write_episodes
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.ipopt import Ipopt
 from kpirl_ocp.ocp.keypoint_planning import keypoint_state
@@ -74,6 +75,16 @@ def demonstrate(robot: Robot, task: str, count: int, seed: int, horizon: int = H
         episode = _track(robot, tracker, start, TASKS[task](horizon, rng))
         episodes += [] if episode is None else [episode]
     raise ProblemError(f"only {len(episodes)} of {count} demonstrations of {task} stayed within the arm's reach.")
+
+
+def write_demonstrations(
+    directory: Path, robot: Robot, task: str, tests: int, seed: int, horizon: int = HORIZON
+) -> list[Episode]:
+    """Demonstrate, the first episode for training and `tests` more for testing, and write them as episode files."""
+    episodes = demonstrate(robot, task, 1 + tests, seed, horizon)
+    meta = {"task": task, "robot": "iiwa", "fps": FPS, "seed": seed, "train": [0], "test": list(range(1, 1 + tests))}
+    write_episodes(directory, episodes, meta)
+    return episodes
 
 
 def tracking_problem(robot: Robot, horizon: int) -> OCP:

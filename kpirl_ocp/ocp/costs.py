@@ -127,7 +127,7 @@ class KeypointCost:
 
     def stage_cost(self, z: ca.SX, u: ca.SX, psi: ca.SX, goal: ca.SX, stage: ca.SX) -> ca.SX:
         """Cost of one stage; `stage` is the schedule's row d_t."""
-        n_weights = stage.numel() - self._effort_basis_width(stage.numel())
+        n_weights = stage.numel() - (np.size(self.effort) if self.learn_effort else 1)
         kernels, effort = stage[:n_weights], stage[n_weights:]
         positive = PARAMETRISATIONS[self.positivity].forward
         n_psi = psi.numel() - (effort.numel() if self.learn_effort else 0)
@@ -179,6 +179,3 @@ class KeypointCost:
         if not self.learn_effort:
             return np.broadcast_to(efforts, (horizon,)).reshape(horizon, 1)
         return np.eye(horizon) if len(efforts) > 1 else np.ones((horizon, 1))
-
-    def _effort_basis_width(self, n_stage: int) -> int:
-        return len(np.atleast_1d(self.effort)) if self.learn_effort else 1
