@@ -58,11 +58,11 @@ def main() -> None:
 
     out = output_directory(args.out)
     figure, (axis,) = figures.new_figure(1, 1, width=7.5, height=4.0)
-    axis.barh(list(results), [r["median_ms"] for r in results.values()], color=figures.COLOURS[0])
-    axis.axvline(0.3, color=figures.COLOURS[1], linestyle="--", label="0.3 ms, the bar for N = 1")
-    axis.set(xscale="log", xlabel="time per loss and gradient [ms], one core")
+    low, middle, high = (np.array([r[key] for r in results.values()]) for key in ("p10_ms", "median_ms", "p90_ms"))
+    axis.errorbar(middle, list(results), xerr=[middle - low, high - middle], fmt="o", color=figures.COLOURS[0])
+    axis.set(xscale="log", xlabel="time per loss and gradient [ms], median and 10 - 90 %, one core")
+    axis.grid(alpha=0.3, which="both", axis="x")
     axis.invert_yaxis()
-    axis.legend()
     settings = vars(args) | {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "unset")}
     print(f"\nnumbers: {write_metrics(out, settings, results)}\nfigure:  {figures.save(figure, out / 'benchmark.png')}")
 

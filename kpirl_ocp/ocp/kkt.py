@@ -113,51 +113,53 @@ def bound_multipliers(multipliers: Multipliers) -> Array:
 class Inequalities:
     """All inequalities in one list, each as slack >= 0: finite lower bounds, finite upper bounds, path constraints.
 
-    rows_lower, rows_upper: indices into w. slack, multiplier: (n_ineq,), multipliers >= 0 at a solution.
+    lower, upper: indices into w of the bounded entries. slack: (n_ineq,).
     equal: (n_ineq,) True where lower and upper bound coincide, so that the row is an equality.
     """
 
-    rows_lower: Indices
-    rows_upper: Indices
+    lower: Indices
+    upper: Indices
     slack: Array
-    multiplier: Array
     equal: Mask
 
     @classmethod
-    def at(cls, nlp: NLP, w: Array, path: Array, multipliers: Multipliers, barrier: float) -> Inequalities:
-        """Evaluate slacks, and split each signed bound multiplier into one for either side.
-
-        With a barrier both sides of a bound push, and only their difference is known: there they follow from the
-        slack, z = tau / slack, and a disagreement shows up in the stationarity.
-        """
+    def at(cls, nlp: NLP, w: Array, path: Array) -> Inequalities:
+        """The inequalities at w (n_w,), with path constraints (T n_h,) evaluated there."""
         low, high = np.flatnonzero(np.isfinite(nlp.lower)), np.flatnonzero(np.isfinite(nlp.upper))
-        nu, fixed = bound_multipliers(multipliers), nlp.lower == nlp.upper
-        slack_low, slack_high = w[low] - nlp.lower[low], nlp.upper[high] - w[high]
-        push_low = np.where(np.isfinite(nlp.upper[low]), np.maximum(-nu[low], 0.0), -nu[low])
-        push_high = np.where(np.isfinite(nlp.lower[high]), np.maximum(nu[high], 0.0), nu[high])
-        if barrier > 0:
-            with np.errstate(divide="ignore"):
-                push_low = np.where(fixed[low], push_low, barrier / slack_low)
-                push_high = np.where(fixed[high], push_high, barrier / slack_high)
+        fixed = nlp.lower == nlp.upper
         return cls(
-            rows_lower=low,
-            rows_upper=high,
-            slack=np.concatenate([slack_low, slack_high, -path]),
-            multiplier=np.concatenate([push_low, push_high, multipliers.path.ravel()]),
+            lower=low,
+            upper=high,
+            slack=np.concatenate([w[low] - nlp.lower[low], nlp.upper[high] - w[high], -path]),
             equal=np.concatenate([fixed[low], fixed[high], np.zeros(len(path), bool)]),
         )
 
-    def push(self, n_w: int) -> Array:
-        """Net multiplier (n_w,) of the bounds: upper minus lower."""
-        force, split = np.zeros(n_w), len(self.rows_lower)
-        force[self.rows_lower] -= self.multiplier[:split]
-        force[self.rows_upper] += self.multiplier[split : split + len(self.rows_upper)]
-        return force
+    def forces(self, multipliers: Multipliers, barrier: float) -> Array:
+        """Multipliers (n_ineq,), not negative at a solution: each signed bound multiplier split into its two sides.
+
+        With a barrier both sides of a bound push, and only their difference is known: there they follow from the
+        slack, tau / slack, and a disagreement shows up in the stationarity.
+        """
+        nu = bound_multipliers(multipliers)
+        low = np.where(np.isin(self.lower, self.upper), np.maximum(-nu[self.lower], 0.0), -nu[self.lower])
+        high = np.where(np.isin(self.upper, self.lower), np.maximum(nu[self.upper], 0.0), nu[self.upper])
+        bounds = np.concatenate([low, high])
+        if barrier > 0:
+            with np.errstate(divide="ignore"):
+                bounds = np.where(self.equal[: len(bounds)], bounds, barrier / self.slack[: len(bounds)])
+        return np.concatenate([bounds, multipliers.path.ravel()])
+
+    def push(self, forces: Array, n_w: int) -> Array:
+        """Net force (n_w,) of the bounds: upper minus lower."""
+        net, split = np.zeros(n_w), len(self.lower)
+        net[self.lower] -= forces[:split]
+        net[self.upper] += forces[split : split + len(self.upper)]
+        return net
 
     def jacobian(self, path_jacobian: Array) -> Array:
         """Jacobian (n_ineq, n_w) of the constraint values -slack, from that of the path constraints (T n_h, n_w)."""
         identity = np.eye(path_jacobian.shape[1])
-        return np.vstack([-identity[self.rows_lower], identity[self.rows_upper], path_jacobian])
+        return np.vstack([-identity[self.lower], identity[self.upper], path_jacobian])
 
 
 def audit(
@@ -169,13 +171,14 @@ def audit(
     lam, mu = multipliers.dynamics.ravel(), multipliers.path.ravel()
     _, defects, path = (np.array(value).ravel() for value in nlp.values(w, s0, psi, context))
     cost_gradient, gradient = (np.array(value).ravel() for value in nlp.first(w, s0, psi, context, lam, mu))
-    rows = Inequalities.at(nlp, w, path, multipliers, barrier)
-    products = np.where(rows.equal, 0.0, rows.multiplier * rows.slack - barrier)
+    rows = Inequalities.at(nlp, w, path)
+    forces = rows.forces(multipliers, barrier)
+    unequal = ~rows.equal
     return KKTResiduals(
-        stationarity=largest(gradient + rows.push(len(w))),
-        feasibility=max(largest(defects), largest(np.minimum(rows.slack, 0.0))),
-        complementarity=largest(products),
-        sign=largest(np.where(rows.equal, 0.0, np.minimum(rows.multiplier, 0.0))),
+        stationarity=largest(gradient + rows.push(forces, len(w))),
+        feasibility=largest(np.concatenate([defects, np.minimum(rows.slack, 0.0)])),
+        complementarity=largest((forces * rows.slack - barrier)[unequal]),
+        sign=largest(np.minimum(forces, 0.0)[unequal]),
         scale=float(np.max([1.0, largest(cost_gradient), largest(lam), largest(mu)])),
     )
 

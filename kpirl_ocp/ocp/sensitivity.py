@@ -21,7 +21,7 @@ import scipy.sparse.linalg
 
 from kpirl_ocp.ocp.kkt import Inequalities, pack, transcribe
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.types import Array, Mask, Multipliers, Solution
+from kpirl_ocp.types import Array, Mask, Solution
 
 _RANK = 1e-12  # singular values of rows of length one below this are zero
 
@@ -78,10 +78,11 @@ def primal_dual(problem: OCP, psi: Array, context: Array, solution: Solution) ->
     """
     nlp, w = transcribe(problem), pack(solution.trajectory)
     path = np.array(nlp.values(w, solution.states[0], psi, context)[2]).ravel()
-    rows = Inequalities.at(nlp, w, path, solution.multipliers, solution.barrier)
-    duplicate = rows.equal & (np.arange(len(rows.equal)) >= len(rows.rows_lower))  # the upper side of an equality
-    active = rows.equal if solution.barrier > 0 else (rows.multiplier > rows.slack) | rows.equal
-    return PrimalDual(w, solution.multipliers.dynamics.ravel(), rows.multiplier), active & ~duplicate
+    rows = Inequalities.at(nlp, w, path)
+    forces = rows.forces(solution.multipliers, solution.barrier)
+    duplicate = rows.equal & (np.arange(len(rows.equal)) >= len(rows.lower))  # the upper side of an equality
+    active = rows.equal if solution.barrier > 0 else (forces > rows.slack) | rows.equal
+    return PrimalDual(w, solution.multipliers.dynamics.ravel(), forces), active & ~duplicate
 
 
 def linearise(
@@ -90,13 +91,11 @@ def linearise(
     """Evaluate the KKT system at a point for a given active set."""
     nlp = transcribe(problem)
     arguments = (point.w, s0, psi, context)
-    n_path = problem.horizon * problem.n_path
-    mu = point.forces[len(point.forces) - n_path :]
+    mu = path_forces(problem, point.forces)
     hessian, jacobian, path_jacobian = (matrix.sparse() for matrix in nlp.second(*arguments, point.costates, mu))
     _, defects, path = (np.array(value).ravel() for value in nlp.values(*arguments))
-    gradient = np.array(nlp.first(*arguments, point.costates, np.zeros(n_path))[1]).ravel()
-    nothing = Multipliers(np.empty(0), np.zeros(nlp.n_defects), np.zeros(len(point.w) - nlp.n_defects), mu)
-    rows = Inequalities.at(nlp, point.w, path, nothing, 0.0)
+    gradient = np.array(nlp.first(*arguments, point.costates, np.zeros_like(mu))[1]).ravel()
+    rows = Inequalities.at(nlp, point.w, path)
     smoothed = ~rows.equal if barrier > 0 else np.zeros(len(rows.equal), bool)
     with np.errstate(divide="ignore", invalid="ignore"):
         stiffness = np.where(smoothed, barrier / rows.slack**2, 0.0)
