@@ -22,10 +22,9 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradient import Certificate, HypergradientResult, check_policy, enforce, not_finite, seen
 from kpirl_ocp.irl.loss import Loss, squared_distance
 from kpirl_ocp.ocp.ipopt import Ipopt
-from kpirl_ocp.ocp.kkt import transcribe
 from kpirl_ocp.ocp.probe import Probe, probe
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.sensitivity import Factorisation, linearise, path_forces, primal_dual, scatter
+from kpirl_ocp.ocp.sensitivity import Factorisation, Instance, linearise, primal_dual, scatter
 from kpirl_ocp.ocp.solver import Guess, Solver
 from kpirl_ocp.types import Demonstration, Mask, Solution, Status
 
@@ -110,21 +109,22 @@ def differentiate(
     s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
     outputs = _loss_and_slope(problem, loss)(solution.states.T, solution.actions.T, seen(problem, demonstration))
     value, slope = float(outputs[0]), np.array(outputs[1]).ravel()
-    point, active = primal_dual(problem, psi, context, solution)
-    system = linearise(problem, s0, psi, context, point, active, solution.barrier)
+    instance = Instance(problem, s0, psi, context, solution.barrier)
+    point, active = primal_dual(instance, solution)
+    system = linearise(instance, point, active)
     if not system.finite or not np.isfinite(slope).all():
         return _undefined(value, len(psi), solution, active)
 
     factors = Factorisation(system)
     w, costates, forces, residual = factors.solve(slope, np.zeros(system.n_defects), np.zeros(int(active.sum())))
     forces = scatter(active, forces) + system.stiffness * (system.rows @ w)
-    arguments = (point.w, s0, psi, context, point.costates, path_forces(problem, point.forces))
-    adjoint = (w, costates, path_forces(problem, forces))
-    gradient = -np.array(transcribe(problem).cross(*arguments, *adjoint)).ravel()
+    multipliers = (point.costates, instance.path_forces(point.forces))
+    adjoint = (w, costates, instance.path_forces(forces))
+    gradient = -np.array(instance.nlp.cross(*instance.at(point.w), *multipliers, *adjoint)).ravel()
 
     nearby = Probe(np.inf, np.nan, np.inf, np.inf)
     if np.isfinite(w).all():
-        nearby = probe(problem, s0, psi, context, system, factors, solution.barrier, slope, w)
+        nearby = probe(instance, system, factors, slope, w)
     evidence = ImplicitCertificate(
         solution=solution,
         failures=(),

@@ -13,13 +13,11 @@ beside the true solution. One Newton step on the KKT conditions leads (quadratic
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kpirl_ocp.ocp.kkt import transcribe
-from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.sensitivity import Factorisation, KKTSystem, PrimalDual, linearise, path_forces, scatter
+from kpirl_ocp.ocp.sensitivity import Factorisation, Instance, KKTSystem, PrimalDual, linearise, scatter
 from kpirl_ocp.types import Array
 
 _KNOWN = 1e-9  # relative accuracy to which no solution is known better
@@ -43,55 +41,48 @@ class Probe:
     kink: float
 
 
-def probe(
-    problem: OCP,
-    s0: Array,
-    psi: Array,
-    context: Array,
-    system: KKTSystem,
-    factors: Factorisation,
-    barrier: float,
-    right: Array,
-    adjoint: Array,
-) -> Probe:
+def probe(instance: Instance, system: KKTSystem, factors: Factorisation, right: Array, adjoint: Array) -> Probe:
     """Probe the surroundings of a solution whose adjoint for the right-hand side `right` is `adjoint`, both (n_w,)."""
-    refined, margin = _newton(system, factors, barrier)
+    refined, margin = _newton(instance, system, factors)
     size = 1 + float(np.abs(system.point.w).max())
     step = float(np.abs(refined.w - system.point.w).max()) / size
-    soft = _KNOWN * size * factors.softest
-    nearby = PrimalDual(refined.w + soft, refined.costates, refined.forces)
-    again = linearise(problem, s0, psi, context, nearby, system.active, barrier)
+    nearby = replace(refined, w=refined.w + _KNOWN * size * factors.softest)
+    again = linearise(instance, nearby, system.active)
     change = np.inf
     if again.finite:
         moved = Factorisation(again).solve(right, np.zeros(system.n_defects), np.zeros(int(system.active.sum())))[0]
         change = _relative(moved - adjoint, adjoint)
-    return Probe(step, margin, change, _kink(problem, s0, psi, context, system, adjoint))
+    return Probe(step, margin, change, _kink(instance, system, adjoint))
 
 
-def _newton(system: KKTSystem, factors: Factorisation, barrier: float) -> tuple[PrimalDual, float]:
+def _newton(instance: Instance, system: KKTSystem, factors: Factorisation) -> tuple[PrimalDual, float]:
     """One Newton step on the KKT conditions with this active set, and the smallest margin after it."""
-    point, active = system.point, system.active
+    point, active, smoothed = system.point, system.active, instance.barrier > 0
     forces = np.where(active, point.forces, 0.0)
-    if barrier > 0:
+    if smoothed:
         with np.errstate(divide="ignore"):
-            forces = np.where(system.equal, forces, barrier / system.slack)
+            forces = np.where(system.equal, forces, instance.barrier / system.slack)
     unbalanced = system.gradient + system.rows.T @ forces
     dw, costates, pushes, _ = factors.solve(-unbalanced, -system.defects, system.slack[active])
     forces, slack = forces + scatter(active, pushes), system.slack - system.rows @ dw
     margins = np.where(active, forces, slack)[~system.equal]
-    margin = np.inf if barrier > 0 else float(np.min(margins, initial=np.inf))
+    margin = np.inf if smoothed else float(np.min(margins, initial=np.inf))
     return PrimalDual(point.w + dw, point.costates + costates, forces), margin
 
 
-def _kink(problem: OCP, s0: Array, psi: Array, context: Array, system: KKTSystem, adjoint: Array) -> float:
+def _kink(instance: Instance, system: KKTSystem, adjoint: Array) -> float:
+    """Central difference of the Lagrangian's gradient along the adjoint, against the Hessian."""
     size = np.abs(adjoint).max(initial=0.0)
     if size == 0:
         return 0.0
-    point, first = system.point, transcribe(problem).first
+    point = system.point
     step = _DIFFERENCE * (1 + np.abs(point.w).max()) / size
-    mu = path_forces(problem, point.forces)
-    ends = [first(point.w + sign * step * adjoint, s0, psi, context, point.costates, mu)[1] for sign in (1, -1)]
-    difference = (np.array(ends[0]) - np.array(ends[1])).ravel() / (2 * step)
+    multipliers = (point.costates, instance.path_forces(point.forces))
+    right, left = (
+        np.array(instance.nlp.first(*instance.at(point.w + sign * step * adjoint), *multipliers)[1]).ravel()
+        for sign in (1, -1)
+    )
+    difference = (right - left) / (2 * step)
     return _relative(difference - system.hessian @ adjoint, difference)
 
 

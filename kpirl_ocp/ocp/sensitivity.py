@@ -19,11 +19,35 @@ import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 
-from kpirl_ocp.ocp.kkt import Inequalities, pack, transcribe
+from kpirl_ocp.ocp.kkt import NLP, Inequalities, pack, transcribe
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.types import Array, Mask, Solution
 
 _RANK = 1e-12  # singular values of rows of length one below this are zero
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A problem with its numbers: s0 (n_s,), psi (n_psi,), context (n_c,), and barrier tau >= 0."""
+
+    problem: OCP
+    s0: Array
+    psi: Array
+    context: Array
+    barrier: float = 0.0
+
+    @property
+    def nlp(self) -> NLP:
+        """The problem as a nonlinear program."""
+        return transcribe(self.problem)
+
+    def at(self, w: Array) -> tuple[Array, Array, Array, Array]:
+        """The arguments (w, s0, psi, c) that functions of `NLP` begin with."""
+        return w, self.s0, self.psi, self.context
+
+    def path_forces(self, forces: Array) -> Array:
+        """The entries (T n_h,) of the path constraints in a list over all inequalities."""
+        return forces[len(forces) - self.problem.horizon * self.problem.n_path :]
 
 
 @dataclass(frozen=True)
@@ -69,36 +93,32 @@ class KKTSystem:
         return len(self.defects)
 
 
-def primal_dual(problem: OCP, psi: Array, context: Array, solution: Solution) -> tuple[PrimalDual, Mask]:
+def primal_dual(instance: Instance, solution: Solution) -> tuple[PrimalDual, Mask]:
     """The point of a solution, and its active inequalities: multiplier above slack, or an equality.
 
     Comparing the two, rather than either with a threshold, follows mu * slack -> 0: an inactive row with a tiny
     multiplier stays inactive, an active row with a tiny slack stays active. In badly chosen units the guess may be
     wrong; `kpirl_ocp.ocp.probe` finds out.
     """
-    nlp, w = transcribe(problem), pack(solution.trajectory)
-    path = np.array(nlp.values(w, solution.states[0], psi, context)[2]).ravel()
-    rows = Inequalities.at(nlp, w, path)
+    w = pack(solution.trajectory)
+    path = np.array(instance.nlp.values(*instance.at(w))[2]).ravel()
+    rows = Inequalities.at(instance.nlp, w, path)
     forces = rows.forces(solution.multipliers, solution.barrier)
     duplicate = rows.equal & (np.arange(len(rows.equal)) >= len(rows.lower))  # the upper side of an equality
     active = rows.equal if solution.barrier > 0 else (forces > rows.slack) | rows.equal
     return PrimalDual(w, solution.multipliers.dynamics.ravel(), forces), active & ~duplicate
 
 
-def linearise(
-    problem: OCP, s0: Array, psi: Array, context: Array, point: PrimalDual, active: Mask, barrier: float = 0.0
-) -> KKTSystem:
+def linearise(instance: Instance, point: PrimalDual, active: Mask) -> KKTSystem:
     """Evaluate the KKT system at a point for a given active set."""
-    nlp = transcribe(problem)
-    arguments = (point.w, s0, psi, context)
-    mu = path_forces(problem, point.forces)
+    nlp, arguments, mu = instance.nlp, instance.at(point.w), instance.path_forces(point.forces)
     hessian, jacobian, path_jacobian = (matrix.sparse() for matrix in nlp.second(*arguments, point.costates, mu))
     _, defects, path = (np.array(value).ravel() for value in nlp.values(*arguments))
     gradient = np.array(nlp.first(*arguments, point.costates, np.zeros_like(mu))[1]).ravel()
     rows = Inequalities.at(nlp, point.w, path)
-    smoothed = ~rows.equal if barrier > 0 else np.zeros(len(rows.equal), bool)
+    smoothed = ~rows.equal if instance.barrier > 0 else np.zeros(len(rows.equal), bool)
     with np.errstate(divide="ignore", invalid="ignore"):
-        stiffness = np.where(smoothed, barrier / rows.slack**2, 0.0)
+        stiffness = np.where(smoothed, instance.barrier / rows.slack**2, 0.0)
     return KKTSystem(
         point=point,
         hessian=hessian,
@@ -175,12 +195,6 @@ def _null_space(rows: Array) -> tuple[Array, float]:
     _, singular, right = scipy.linalg.svd(rows / np.where(lengths > 0, lengths, 1.0))
     rank = int((singular > _RANK).sum())
     return right[rank:].T, float(singular.min()) if len(rows) <= rows.shape[1] else 0.0
-
-
-def path_forces(problem: OCP, forces: Array) -> Array:
-    """The entries (T n_h,) of the path constraints in a list over all inequalities."""
-    n_path = problem.horizon * problem.n_path
-    return forces[len(forces) - n_path :]
 
 
 def scatter(active: Mask, values: Array) -> Array:
