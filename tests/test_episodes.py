@@ -9,7 +9,8 @@ import pytest
 from kpirl_ocp import Robot
 from kpirl_ocp.episodes import read_episodes, write_episodes
 from kpirl_ocp.errors import EpisodeError, ProblemError
-from kpirl_ocp.irl.tasks import as_demonstration, demonstrate, minimum_jerk
+from kpirl_ocp.irl.tasks import as_demonstration, demonstrate
+from kpirl_ocp.motion import minimum_jerk
 
 
 @pytest.fixture(scope="module")

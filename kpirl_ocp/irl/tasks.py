@@ -3,7 +3,7 @@
 reaching: the object moves along a straight line to a random goal.
 placing: first along x, then down, as a bottle is put on a shelf.
 
-The expert moves the object without turning it, with a minimum-jerk speed profile (Flash and Hogan, 1985); the joints
+The expert moves the object without turning it, with a minimum-jerk speed profile; the joints
 follow by tracking that path with the OCP toolkit, within the joint limits. A demonstration is what the arm then does.
 """
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from kpirl_ocp.episodes import Episode, write_episodes
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.motion import forward_then_down, minimum_jerk
 from kpirl_ocp.ocp.ipopt import Ipopt
 from kpirl_ocp.ocp.keypoint_planning import keypoint_state
 from kpirl_ocp.ocp.kinematics import Robot
@@ -31,11 +32,6 @@ _POSTURE_SPREAD = 0.15  # [rad]
 _TRACKING_TOLERANCE = 5e-3  # [m]
 
 
-def minimum_jerk(times: Array) -> Array:
-    """Progress 10 t^3 - 15 t^4 + 6 t^5 at times in [0, 1]."""
-    return times**3 * (10 - 15 * times + 6 * times**2)
-
-
 def reaching_path(horizon: int, rng: np.random.Generator) -> Array:
     """Displacement (T+1, 3) [m] along a straight line to a random goal, 0.15 to 0.3 m away."""
     direction = rng.normal(size=3)
@@ -46,9 +42,7 @@ def reaching_path(horizon: int, rng: np.random.Generator) -> Array:
 def placing_path(horizon: int, rng: np.random.Generator) -> Array:
     """Displacement (T+1, 3) [m]: 0.12 to 0.22 m along x in the first half, then 0.12 to 0.22 m down."""
     forward, down = rng.uniform(0.12, 0.22, size=2)
-    halves = np.clip(2 * np.linspace(0, 1, horizon + 1)[:, None] - np.array([0, 1]), 0, 1)
-    along = minimum_jerk(halves)
-    return np.column_stack([forward * along[:, 0], np.zeros(horizon + 1), -down * along[:, 1]])
+    return forward_then_down(forward, down, np.linspace(0, 1, horizon + 1))
 
 
 TASKS: Mapping[str, Callable[[int, np.random.Generator], Array]] = {"reaching": reaching_path, "placing": placing_path}

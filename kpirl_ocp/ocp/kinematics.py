@@ -8,7 +8,6 @@ placements and axes of the `pin.Model` (Featherstone, Rigid Body Dynamics Algori
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,6 +17,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
+from kpirl_ocp.assets import iiwa_urdf
 from kpirl_ocp.errors import RobotError
 
 _REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
@@ -70,10 +70,7 @@ class Robot:
     @classmethod
     def iiwa(cls, keypoints: Mapping[str, object] | tuple[Keypoint, ...] = ()) -> Robot:
         """The KUKA LBR iiwa of `pybullet_data` (located without importing PyBullet)."""
-        spec = importlib.util.find_spec("pybullet_data")
-        if spec is None or spec.origin is None:
-            raise RobotError("Robot.iiwa() reads its URDF from the package pybullet_data: pip install pybullet.")
-        return cls.from_urdf(Path(spec.origin).parent / "kuka_iiwa" / "model.urdf", keypoints)
+        return cls.from_urdf(iiwa_urdf(), keypoints)
 
     @classmethod
     def from_example_data(cls, name: str, keypoints: Mapping[str, object] | tuple[Keypoint, ...] = ()) -> Robot:
