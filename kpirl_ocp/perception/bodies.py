@@ -43,6 +43,17 @@ GRIPPER_SHAPES = (
     Shape((0.04, 0.015, 0.09), (0.0, -0.047, 0.06), colour=_DARK),
 )
 
+# A right hand that comes from +x and closes around the bottle's body: palm, four fingers, thumb, wrist and sleeve.
+_SKIN, _SLEEVE = (0.87, 0.67, 0.55), (0.20, 0.25, 0.50)
+HAND_SHAPES = (
+    Shape((0.03, 0.06, 0.09), (0.060, 0.0, -0.02), colour=_SKIN),
+    *(Shape((0.009, 0.085), (0.012, -0.045, z), (0.0, _QUARTER, 0.0), _SKIN) for z in (-0.055, -0.033, -0.011, 0.011)),
+    *(Shape((0.009, 0.050), (-0.036, -0.022, z), (_QUARTER, 0.0, 0.0), _SKIN) for z in (-0.055, -0.033, -0.011, 0.011)),
+    Shape((0.011, 0.075), (0.018, 0.046, 0.005), (0.0, _QUARTER, 0.0), _SKIN),
+    Shape((0.026, 0.07), (0.105, 0.0, -0.02), (0.0, _QUARTER, 0.0), _SKIN),
+    Shape((0.042, 0.90), (0.590, 0.0, -0.02), (0.0, _QUARTER, 0.0), _SLEEVE),  # out of the image
+)
+
 
 def write_arm_with_bottle(directory: Path) -> Path:
     """Write the URDF of the iiwa that holds the bottle: links `gripper` and `bottle` fixed to its flange."""
@@ -58,10 +69,28 @@ def write_arm_with_bottle(directory: Path) -> Path:
     return path
 
 
+def write_hand_with_bottle(directory: Path) -> Path:
+    """Write the URDF of the bottle, its base, in a hand fixed to it."""
+    robot = ET.Element("robot", name="hand_with_bottle")
+    _add_link(robot, BOTTLE, BOTTLE_SHAPES, mass=0.4)
+    _append(robot, "hand", HAND_SHAPES, BOTTLE, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), mass=0.4)
+    path = directory / "hand_with_bottle.urdf"
+    ET.ElementTree(robot).write(path)
+    return path
+
+
 def _append(
     robot: ET.Element, name: str, shapes: tuple[Shape, ...], parent: str, xyz: Vector, rpy: Vector, mass: float
 ) -> None:
     """Add a link of shapes and the fixed joint that holds it."""
+    _add_link(robot, name, shapes, mass)
+    joint = ET.SubElement(robot, "joint", name=f"{name}_joint", type="fixed")
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=name)
+    ET.SubElement(joint, "origin", xyz=_text(xyz), rpy=_text(rpy))
+
+
+def _add_link(robot: ET.Element, name: str, shapes: tuple[Shape, ...], mass: float) -> None:
     link = ET.SubElement(robot, "link", name=name)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "mass", value=str(mass))
@@ -77,10 +106,6 @@ def _append(
             ET.SubElement(geometry, "cylinder", radius=str(shape.size[0]), length=str(shape.size[1]))
         material = ET.SubElement(visual, "material", name=f"{name}_{index}")
         ET.SubElement(material, "color", rgba=_text((*shape.colour, 1.0)))
-    joint = ET.SubElement(robot, "joint", name=f"{name}_joint", type="fixed")
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=name)
-    ET.SubElement(joint, "origin", xyz=_text(xyz), rpy=_text(rpy))
 
 
 def _text(numbers: tuple[float, ...]) -> str:

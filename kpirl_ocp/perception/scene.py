@@ -14,22 +14,16 @@ from types import TracebackType
 
 import numpy as np
 import pybullet
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pybullet_utils.bullet_client import BulletClient
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.perception.bodies import BOTTLE, write_arm_with_bottle
 from kpirl_ocp.perception.camera import Camera
-from kpirl_ocp.types import Array, Mask
+from kpirl_ocp.perception.rendering import Frame, furnish, render
+from kpirl_ocp.types import Array
 
 _PHYSICS_RATE = 240  # [Hz]
-
-# Static boxes: half extents [m], centre [m], colour. A table top at z = 0, and a shelf of a board and an upright.
-_FURNITURE = (
-    ((0.90, 0.70, 0.02), (0.45, 0.0, -0.02), (0.72, 0.65, 0.55)),
-    ((0.11, 0.15, 0.01), (0.70, 0.0, 0.30), (0.55, 0.40, 0.25)),
-    ((0.01, 0.15, 0.16), (0.80, 0.0, 0.15), (0.55, 0.40, 0.25)),
-)
 
 
 @dataclass(frozen=True)
@@ -52,14 +46,6 @@ class JointState:
 
     positions: Array
     velocities: Array
-
-
-@dataclass(frozen=True)
-class Frame:
-    """An image rgb (H, W, 3) uint8 and where the bottle is in it, bottle (H, W) bool."""
-
-    rgb: NDArray[np.uint8]
-    bottle: Mask
 
 
 @dataclass
@@ -85,8 +71,7 @@ class Scene:
         self.urdf = write_arm_with_bottle(self._directory)
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         self._arm = self._client.loadURDF(str(self.urdf), useFixedBase=True, flags=flags)
-        for half, centre, colour in _FURNITURE:
-            self._add_box(half, centre, colour)
+        furnish(self._client)
         infos = [self._client.getJointInfo(self._arm, i) for i in range(self._client.getNumJoints(self._arm))]
         self._links = {info[12].decode(): info[0] for info in infos}
         moving = [info for info in infos if info[2] == pybullet.JOINT_REVOLUTE]
@@ -150,28 +135,7 @@ class Scene:
 
     def render(self) -> Frame:
         """What the camera sees now."""
-        camera = self.camera
-        view = self._client.computeViewMatrix(camera.eye, camera.target, camera.up)
-        aspect = camera.width / camera.height
-        projection = self._client.computeProjectionMatrixFOV(camera.field_of_view, aspect, 0.1, 5.0)
-        _, _, rgba, _, labels = self._client.getCameraImage(
-            camera.width,
-            camera.height,
-            view,
-            projection,
-            shadow=0,
-            renderer=pybullet.ER_TINY_RENDERER,
-            flags=pybullet.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
-        )
-        shape = (camera.height, camera.width)
-        labels = np.array(labels, dtype=np.int64).reshape(shape)
-        # A label is body + (link + 1) * 2^24; -1 is the background.
-        bottle = (labels >= 0) & (labels & 0xFFFFFF == self._arm) & ((labels >> 24) - 1 == self._links[BOTTLE])
-        return Frame(np.array(rgba, dtype=np.uint8).reshape(*shape, 4)[..., :3].copy(), bottle)
-
-    def _add_box(self, half: tuple[float, ...], centre: tuple[float, ...], colour: tuple[float, float, float]) -> None:
-        visual = self._client.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, rgbaColor=(*colour, 1.0))
-        self._client.createMultiBody(baseMass=0, baseVisualShapeIndex=visual, basePosition=centre)
+        return render(self._client, self.camera, self._arm, self._links[BOTTLE])
 
     def _checked(self, name: str, values: ArrayLike) -> Array:
         array = np.asarray(values, float)

@@ -1,0 +1,75 @@
+"""A person's demonstration: a hand, made of simple shapes, carries the bottle past the camera; there is no robot.
+
+The path has a person's speed profile (minimum jerk) and a small tremor: a slow wander of the hand, normally distributed
+and smoothed over a tenth of a second.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import pybullet
+from numpy.typing import ArrayLike, NDArray
+from pybullet_utils.bullet_client import BulletClient
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.motion import forward_then_down
+from kpirl_ocp.perception.bodies import write_hand_with_bottle
+from kpirl_ocp.perception.camera import Camera
+from kpirl_ocp.perception.rendering import Frame, furnish, render
+from kpirl_ocp.types import Array
+
+RATE = 30.0  # [Hz] of the paper's human demonstrations
+
+
+@dataclass
+class HandScene:
+    """The scene with a hand in the place of the robot; use it in a `with` block."""
+
+    camera: Camera = field(default_factory=Camera)
+
+    def __enter__(self) -> HandScene:
+        self._directory = Path(tempfile.mkdtemp(prefix="kpirl_ocp-"))
+        self._client = BulletClient(pybullet.DIRECT)
+        furnish(self._client)
+        self._bottle = self._client.loadURDF(str(write_hand_with_bottle(self._directory)), useFixedBase=True)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._client.disconnect()
+        shutil.rmtree(self._directory)
+
+    def look(self, position: ArrayLike) -> Frame:
+        """The frame with the bottle, upright, at position (3,) [m]."""
+        place = np.asarray(position, float)
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise ProblemError(f"position must be three finite numbers [m], got {position!r}.")
+        self._client.resetBasePositionAndOrientation(self._bottle, place.tolist(), (0.0, 0.0, 0.0, 1.0))
+        return render(self._client, self.camera, self._bottle, link=-1)
+
+    def film(self, path: ArrayLike) -> NDArray[np.uint8]:
+        """Frames (n, H, W, 3) along a path (n, 3) [m] of the bottle."""
+        return np.array([self.look(position).rgb for position in np.asarray(path, float)])
+
+
+def placing_path(rng: np.random.Generator, *, seconds: float = 2.0, rate: float = RATE, tremor: float = 1e-3) -> Array:
+    """Path (n, 3) [m] of the bottle onto the shelf: along x, then down, from a random start.
+
+    seconds: duration; 2 s at 5 Hz are the paper's ten steps. tremor: standard deviation of the wander [m].
+    """
+    times = np.linspace(0, 1, round(seconds * rate) + 1)
+    forward, down = rng.uniform(0.15, 0.22), rng.uniform(0.10, 0.15)
+    # The bottle comes to stand on the board: its foot is 0.105 m below its frame, the board's top at 0.31 m.
+    end = np.array([rng.uniform(0.66, 0.72), 0.0, 0.31 + 0.105])
+    path = end - [forward, 0.0, -down] + forward_then_down(forward, down, times)
+    window = max(1, round(0.1 * rate))
+    noise = rng.normal(0.0, tremor * np.sqrt(window), (len(times) + window - 1, 3))
+    kernel = np.full(window, 1 / window)
+    return path + np.column_stack([np.convolve(noise[:, axis], kernel, mode="valid") for axis in range(3)])
