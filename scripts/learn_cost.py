@@ -1,4 +1,4 @@
-"""Learn a cost from one demonstration, plan with it on the demonstrations kept for testing, and show what was learned.
+"""Learn a cost from one or more demonstrations, plan with it on those kept for testing, and show what was learned.
 
 unrolled: the paper's way; N gradient steps on the actions, differentiated.
 implicit: the planning problem is solved to the end with Ipopt, and its optimality conditions are differentiated.
@@ -27,6 +27,7 @@ def parse() -> argparse.Namespace:
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--demonstrations", type=Path, help="directory from make_demonstrations.py")
     source.add_argument("--task", choices=list(TASKS), default="placing", help="or: demonstrate this task afresh")
+    parser.add_argument("--train", type=int, default=1, help="demonstrations to learn from, the first (default: 1)")
     parser.add_argument("--method", choices=["unrolled", "implicit"], default="unrolled", help="hypergradient")
     parser.add_argument("--cost", choices=[n for n in BASES if n != "default"], default="weighted", help="cost family")
     parser.add_argument("--steps", type=int, default=100, help="outer iterations (default: 100)")
@@ -40,11 +41,16 @@ def parse() -> argparse.Namespace:
 
 
 def load(args: argparse.Namespace, robot: Robot) -> list[Episode]:
+    if args.train < 1:
+        raise ProblemError(f"--train must be at least one demonstration, got {args.train}.")
     if args.demonstrations is None:
-        return demonstrate(robot, args.task, 6, args.seed, HORIZON)
+        return demonstrate(robot, args.task, args.train + 5, args.seed, HORIZON)
     episodes, _ = read_episodes(args.demonstrations)
-    if len(episodes) < 2 or len({episode.horizon for episode in episodes}) > 1:
-        raise ProblemError(f"{args.demonstrations} must hold at least two episodes, all of one length.")
+    if len(episodes) <= args.train or len({episode.horizon for episode in episodes}) > 1:
+        raise ProblemError(
+            f"{args.demonstrations} holds {len(episodes)} episodes; it takes {args.train} for training "
+            "and at least one for testing, all of one length."
+        )
     return episodes
 
 
@@ -64,6 +70,14 @@ def configure(args: argparse.Namespace, horizon: int, n_z: int) -> LearnedCost:
 def optimiser(args: argparse.Namespace) -> Adam | Descent | LBFGS:
     name = args.optimiser or ("adam" if args.method == "unrolled" else "lbfgs")
     return LBFGS() if name == "lbfgs" else OPTIMISERS[name](args.learning_rate)
+
+
+def means(plan: Evaluation, train: int) -> list[float]:
+    """Mean loss and relative distance on the training demonstrations, the first ones, and on the others."""
+    parts = [
+        values[cut] for cut in (slice(train), slice(train, None)) for values in (plan.losses, plan.relative_distances)
+    ]
+    return [float(part.mean()) for part in parts]
 
 
 def draw(
@@ -106,7 +120,7 @@ def main() -> None:
     start = configure(args, episodes[0].horizon, demonstrations[0].observations.shape[1])
     problem = start.problem(robot)
     method = Unrolled(start.solver) if isinstance(start.solver, GradientDescent) else Implicit(start.solver)
-    result = learn(problem, demonstrations[:1], start.psi, method, optimiser(args), args.steps)
+    result = learn(problem, demonstrations[: args.train], start.psi, method, optimiser(args), args.steps)
     learned = LearnedCost(start.cost, result.psi, start.horizon, start.solver)
     learned.write(out / "cost.json")
 
@@ -115,18 +129,7 @@ def main() -> None:
         for name, psi in (("starting cost", start.psi), ("learned cost", learned.psi))
     }
     header = ["", "train: IRL loss [m²]", "relative distance", "test: IRL loss [m²]", "relative distance"]
-    rows = [
-        [
-            name,
-            *(
-                float(np.mean(part))
-                for cut in (slice(1), slice(1, None))
-                for part in (p.losses[cut], p.relative_distances[cut])
-            ),
-        ]
-        for name, p in plans.items()
-    ]
-    print("\n" + table(header, rows))
+    print("\n" + table(header, [[name, *means(plan, args.train)] for name, plan in plans.items()]))
     print(
         f"\n{args.steps} outer iterations at most, {len(result.losses) - 1} taken, in {result.seconds[-1]:.1f} s; "
         f"every gradient certified: {'yes' if not result.uncertified.any() else 'no'}"

@@ -68,6 +68,14 @@ def test_every_cost_can_be_learned_by_every_method(method, cost, inputs, tmp_pat
     assert min(losses) < losses[0]
 
 
+def test_a_cost_can_be_learned_from_two_demonstrations_and_needs_one_more_for_testing(inputs, tmp_path):
+    base = ["--demonstrations", str(inputs["demos"]), "--steps", "2", "--out", str(tmp_path)]
+    assert call("learn_cost.py", *base, "--train", "2").returncode == 0
+    result = call("learn_cost.py", *base, "--train", "3")
+    assert result.returncode == 2
+    assert "at least one for testing" in result.stderr
+
+
 @pytest.mark.parametrize("script", [script.name for script in SCRIPTS])
 def test_help_says_what_the_script_is_for(script):
     result = call(script, "--help")
@@ -81,6 +89,7 @@ def test_help_says_what_the_script_is_for(script):
     [
         ("learn_cost.py", ["--demonstrations", "nowhere"], "nowhere"),
         ("learn_cost.py", ["--inner-steps", "0"], "steps must be"),
+        ("learn_cost.py", ["--train", "0"], "at least one"),
         ("evaluate.py", ["--demonstrations", "nowhere"], "cost.json"),
         ("solve_ocp.py", ["--robot", "nobody"], "nobody"),
         ("solve_ocp.py", ["--robot", "missing.urdf"], "missing.urdf"),

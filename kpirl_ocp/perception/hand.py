@@ -6,45 +6,28 @@ and smoothed over a tenth of a second.
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-from dataclasses import dataclass, field
-from pathlib import Path
-from types import TracebackType
+from dataclasses import dataclass
 
 import numpy as np
-import pybullet
 from numpy.typing import ArrayLike, NDArray
-from pybullet_utils.bullet_client import BulletClient
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.motion import forward_then_down
 from kpirl_ocp.perception.bodies import write_hand_with_bottle
-from kpirl_ocp.perception.camera import Camera
-from kpirl_ocp.perception.rendering import Frame, furnish, render
+from kpirl_ocp.perception.world import Frame, World
 from kpirl_ocp.types import Array
 
 RATE = 30.0  # [Hz] of the paper's human demonstrations
 
 
 @dataclass
-class HandScene:
+class HandScene(World):
     """The scene with a hand in the place of the robot; use it in a `with` block."""
 
-    camera: Camera = field(default_factory=Camera)
-
     def __enter__(self) -> HandScene:
-        self._directory = Path(tempfile.mkdtemp(prefix="kpirl_ocp-"))
-        self._client = BulletClient(pybullet.DIRECT)
-        furnish(self._client)
-        self._bottle = self._client.loadURDF(str(write_hand_with_bottle(self._directory)), useFixedBase=True)
+        super().__enter__()
+        self._bottle = self._load(write_hand_with_bottle(self._directory))
         return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._client.disconnect()
-        shutil.rmtree(self._directory)
 
     def look(self, position: ArrayLike) -> Frame:
         """The frame with the bottle, upright, at position (3,) [m]."""
@@ -52,7 +35,7 @@ class HandScene:
         if place.shape != (3,) or not np.isfinite(place).all():
             raise ProblemError(f"position must be three finite numbers [m], got {position!r}.")
         self._client.resetBasePositionAndOrientation(self._bottle, place.tolist(), (0.0, 0.0, 0.0, 1.0))
-        return render(self._client, self.camera, self._bottle, link=-1)
+        return self._render(self._bottle, link=-1)
 
     def film(self, path: ArrayLike) -> NDArray[np.uint8]:
         """Frames (n, H, W, 3) along a path (n, 3) [m] of the bottle."""

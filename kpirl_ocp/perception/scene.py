@@ -6,21 +6,15 @@ period, with limited gain and velocity, so that the executed motion falls short 
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from dataclasses import dataclass, field
-from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 import pybullet
 from numpy.typing import ArrayLike
-from pybullet_utils.bullet_client import BulletClient
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.perception.bodies import BOTTLE, write_arm_with_bottle
-from kpirl_ocp.perception.camera import Camera
-from kpirl_ocp.perception.rendering import Frame, furnish, render
+from kpirl_ocp.perception.world import Frame, World
 from kpirl_ocp.types import Array
 
 _PHYSICS_RATE = 240  # [Hz]
@@ -49,13 +43,12 @@ class JointState:
 
 
 @dataclass
-class Scene:
-    """A simulated scene; use it in a `with` block. Several may be open at once; the same commands give the same frames.
+class Scene(World):
+    """The simulated robot; use it in a `with` block. The same commands give the same motion and frames.
 
     rate: [Hz] of `step`; a divisor of 240.
     """
 
-    camera: Camera = field(default_factory=Camera)
     motors: Motors = field(default_factory=Motors)
     rate: int = 5
 
@@ -64,14 +57,11 @@ class Scene:
             raise ProblemError(f"rate must divide the {_PHYSICS_RATE} Hz of the simulation, got {self.rate!r}.")
 
     def __enter__(self) -> Scene:
-        self._directory = Path(tempfile.mkdtemp(prefix="kpirl_ocp-"))
-        self._client = BulletClient(pybullet.DIRECT)
+        super().__enter__()
         self._client.setGravity(0.0, 0.0, -9.81)
         self._client.setTimeStep(1 / _PHYSICS_RATE)
         self.urdf = write_arm_with_bottle(self._directory)
-        flags = pybullet.URDF_USE_INERTIA_FROM_FILE
-        self._arm = self._client.loadURDF(str(self.urdf), useFixedBase=True, flags=flags)
-        furnish(self._client)
+        self._arm = self._load(self.urdf)
         infos = [self._client.getJointInfo(self._arm, i) for i in range(self._client.getNumJoints(self._arm))]
         self._links = {info[12].decode(): info[0] for info in infos}
         moving = [info for info in infos if info[2] == pybullet.JOINT_REVOLUTE]
@@ -79,12 +69,6 @@ class Scene:
         self.joint_limits = np.array([info[8] for info in moving]), np.array([info[9] for info in moving])
         self.reset(np.zeros(len(moving)))
         return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._client.disconnect()
-        shutil.rmtree(self._directory)
 
     @property
     def links(self) -> tuple[str, ...]:
@@ -135,7 +119,7 @@ class Scene:
 
     def render(self) -> Frame:
         """What the camera sees now."""
-        return render(self._client, self.camera, self._arm, self._links[BOTTLE])
+        return self._render(self._arm, self._links[BOTTLE])
 
     def _checked(self, name: str, values: ArrayLike) -> Array:
         array = np.asarray(values, float)
