@@ -141,8 +141,12 @@ class Solution:
     def raise_if_failed(self) -> Solution:
         """Return self, or raise SolveError with the remedy when the status is not ok."""
         if not self.status.ok:
-            raise SolveError(
-                f"{self.status.name}: {self.status.value} "
-                f"(KKT residual {self.residuals.worst:.1e} after {self.iterations} iterations; {self.message})"
-            )
+            raise SolveError(str(self))
         return self
+
+    def __str__(self) -> str:
+        backend = f"; {self.message}" if self.message else ""
+        return (
+            f"{self.status.name}: {self.status.value} (objective {self.objective:.6g}, "
+            f"KKT residual {self.residuals.worst:.1e} after {self.iterations} iterations{backend})"
+        )
