@@ -171,7 +171,7 @@ def _joint_axes(model: pin.Model) -> list[np.ndarray]:
     """Axis (3,) of every joint in its own frame: its column of the local Jacobian, which is constant."""
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    axes = [np.zeros(3)]
+    axes: list[np.ndarray] = [np.zeros(3)]
     for index in range(1, model.njoints):
         joint = model.joints[index]
         jacobian = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)
