@@ -1,5 +1,7 @@
 """The baseline: Abbeel and Ng's max-margin step and loop."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -79,8 +81,26 @@ def test_the_baseline_repeats_for_a_seed_and_differs_for_another(setup):
     assert not np.array_equal(runs[0].psis, runs[2].psis)
 
 
-def test_the_baseline_asks_for_the_weighted_cost(setup):
+@pytest.mark.parametrize(
+    "cost",
+    [
+        KeypointCost(TimeDependent()),
+        KeypointCost(Weighted(), positivity="softplus"),
+        KeypointCost(Weighted(), positivity="square"),  # the same as identity at psi = 1
+    ],
+)
+def test_the_baseline_asks_for_a_cost_linear_in_psi(cost, setup):
     _, demonstrations, robot = setup
-    problem = keypoint_ocp(robot, KeypointCost(TimeDependent()), 9).unconstrained()
+    problem = keypoint_ocp(robot, cost, 9).unconstrained()
     with pytest.raises(ProblemError, match="Weighted"):
         apprenticeship(problem, demonstrations, GradientDescent(), 3, np.random.default_rng(0))
+
+
+def test_a_first_plan_like_the_expert_and_no_epochs_are_said(setup):
+    problem, demonstrations, _ = setup
+    demo = demonstrations[0]
+    still = replace(demo, observations=np.tile(demo.observations[0], (10, 1)))
+    with pytest.raises(ProblemError, match="nothing to learn"):
+        apprenticeship(problem, [still], GradientDescent(), 3, np.random.default_rng(0), initial_spread=0.0)
+    with pytest.raises(ProblemError, match="at least one epoch"):
+        apprenticeship(problem, [demo], GradientDescent(), 0, np.random.default_rng(0))

@@ -16,7 +16,7 @@ from kpirl_ocp import (
 )
 from kpirl_ocp.errors import CertificateError, ProblemError
 from kpirl_ocp.irl.evaluation import evaluate, relative_distance
-from kpirl_ocp.irl.examples import lqr
+from kpirl_ocp.irl.examples import lqr, pendulum
 from kpirl_ocp.irl.learned_cost import LearnedCost
 from kpirl_ocp.irl.learning import Learner, learn
 from kpirl_ocp.irl.optimisers import LBFGS, Adam, Descent, Point
@@ -166,3 +166,11 @@ def test_a_malformed_cost_file_is_named(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ProblemError, match=r"cost\.json"):
         LearnedCost.read(path)
+
+
+def test_a_certificate_error_is_one_line_with_its_certificate():
+    case = pendulum()
+    with pytest.raises(CertificateError) as caught:
+        Implicit(Ipopt(max_iterations=1))(case.problem, case.demonstration, case.psi)
+    assert "\n" not in str(caught.value)
+    assert not caught.value.certificate.certified

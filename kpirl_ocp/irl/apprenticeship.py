@@ -58,9 +58,13 @@ def apprenticeship(
 
     problem: a keypoint problem with the Weighted cost, identity parametrisation and no effort.
     rng, initial_spread: the first plan takes random actions of this standard deviation [rad].
+
+    Raises ProblemError for another cost, for no epochs, and if the first plan already has the expert's features.
     """
-    if problem.n_parameters != problem.n_observations:
-        raise ProblemError("apprenticeship learning needs one weight per keypoint coordinate: the Weighted cost.")
+    if epochs < 1:
+        raise ProblemError(f"apprenticeship learning needs at least one epoch, got {epochs}.")
+    for demonstration in demonstrations:
+        _check_cost(problem, demonstration)
     started = time.perf_counter()
     expert = np.mean([features(demo.observations, demo, discount) for demo in demonstrations], axis=0)
     found = [_random_plan(problem, demonstrations, rng, discount, initial_spread)]
@@ -75,6 +79,8 @@ def apprenticeship(
         pairs = zip(plans.solutions, demonstrations, strict=True)
         found.append(np.mean([_features_of(problem, plan.states, demo, discount) for plan, demo in pairs], axis=0))
         history.append((psi, float(plans.losses.mean()), margin))
+    if not history:
+        raise ProblemError("the first, random plan already has the expert's features: there is nothing to learn.")
     psis, losses, margins = (np.array(column) for column in zip(*history, strict=True))
     best = int(np.argmin(losses))
     seconds = time.perf_counter() - started
@@ -89,8 +95,10 @@ def features(observations: Array, demonstration: Demonstration, discount: float 
 
 def max_margin(differences: Array) -> tuple[Array, float]:
     """The unit psi (n,) with the largest min_j psi . differences[j], and that margin; (0, 0) if none is positive."""
-    rows = differences / np.abs(differences).max()  # scaled, so that tolerances of the QP mean the same everywhere
-    n = rows.shape[1]
+    n, size = differences.shape[1], np.abs(differences).max()
+    if size == 0:
+        return np.zeros(n), 0.0
+    rows = differences / size  # so that the QP's tolerances mean the same in all units
     structure = {"h": ca.Sparsity.diag(n), "a": ca.Sparsity.dense(*rows.shape)}
     solver = ca.conic("max_margin", "daqp", structure, {"error_on_fail": False, "print_time": False})
     psi = np.array(solver(h=ca.DM.eye(n), g=0, a=rows, lba=1, uba=np.inf)["x"]).ravel()
@@ -99,6 +107,19 @@ def max_margin(differences: Array) -> tuple[Array, float]:
         return np.zeros(n), 0.0
     margin = float((differences @ psi).min() / length)
     return (psi / length, margin) if margin > 0 else (np.zeros(n), 0.0)
+
+
+def _check_cost(problem: OCP, demonstration: Demonstration) -> None:
+    """Raise ProblemError unless the cost of standing still is psi . features, for psi = 1 and psi = 2."""
+    actions = np.zeros((problem.horizon, problem.n_actions))
+    fits = problem.n_parameters == problem.n_observations
+    for psi in (np.full(problem.n_parameters, value) for value in (1.0, 2.0) if fits):
+        states = problem.simulate(demonstration.s0, actions, psi).states
+        cost = float(problem.cost(states.T, actions.T, psi, demonstration.context))
+        expected = psi @ _features_of(problem, states, demonstration, discount=1.0)
+        fits = bool(np.isclose(cost, expected, rtol=1e-9, atol=0.0))
+    if not fits:
+        raise ProblemError("apprenticeship learning needs a cost psi . features: Weighted, positivity='identity'.")
 
 
 def _features_of(problem: OCP, states: Array, demonstration: Demonstration, discount: float) -> Array:

@@ -67,7 +67,7 @@ def enforce(policy: str, result: HypergradientResult) -> HypergradientResult:
     """The result, or CertificateError if it is not certified and the policy is not "flag"."""
     if not result.certificate.certified and policy != "flag":
         raise CertificateError(
-            f"the gradient is {result.certificate}\nPass policy='flag' to look at it all the same.", result.certificate
+            f"the gradient is {result.certificate} (policy='flag' returns it all the same.)", result.certificate
         )
     return result
 
