@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.derivatives import DynamicsDerivatives
 from kpirl_ocp.types import Array, Trajectory
 
 Bounds = tuple[ArrayLike, ArrayLike]
@@ -37,6 +38,7 @@ class OCP:
     observation: s -> z (n_z,), what a demonstration shows of a state; None for the state itself.
     action_bounds, state_bounds: (lower, upper), each broadcast to (n_u,) or (n_s,). The given s_0 is not bounded.
     schedule: (T+1, n_d), row t is d_t.
+    derivatives: of the dynamics, where something better than CasADi's AD is known.
 
     Raises ProblemError when dimensions disagree. `OCP.from_expressions` builds one from symbols.
     """
@@ -50,6 +52,7 @@ class OCP:
     action_bounds: Bounds = UNBOUNDED
     state_bounds: Bounds = UNBOUNDED
     schedule: ArrayLike | None = field(default=None, repr=False)
+    derivatives: DynamicsDerivatives | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.horizon, int | np.integer) or isinstance(self.horizon, bool) or self.horizon < 1:
@@ -155,6 +158,11 @@ class OCP:
     def unconstrained(self) -> OCP:
         """The same problem without bounds and path constraints, as in the paper."""
         return replace(self, path_constraint=None, action_bounds=UNBOUNDED, state_bounds=UNBOUNDED)
+
+    @cached_property
+    def dynamics_derivatives(self) -> DynamicsDerivatives:
+        """The derivatives of the dynamics: those given, else by AD."""
+        return self.derivatives or DynamicsDerivatives.by_ad(self.dynamics)
 
     @cached_property
     def rollout(self) -> ca.Function:
