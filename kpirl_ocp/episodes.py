@@ -1,43 +1,49 @@
-"""Demonstrations on disk: one directory with `meta.json` and one compressed `.npz` (no pickle) per episode.
+"""Episodes on disk: one directory with `meta.json` and one compressed `.npz` (no pickle) per episode.
 
-Keys are LeRobot's names:
-    observation.state      (T+1, n_joints)  joint positions [rad]
-    observation.keypoints  (T+1, K, 3)      keypoint positions [m]
-    action                 (T, n_joints)    joint displacements [rad]
-    timestamp              (T+1,)           [s]
+An episode is a dataclass of arrays; each field says under which key (LeRobot's names), with which type and shape it is
+stored. `Episode` holds a demonstration in 3-D keypoints; perception has others with camera images.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 from zipfile import BadZipFile
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from kpirl_ocp.errors import EpisodeError
 from kpirl_ocp.types import Array
 
 _VERSION = 1
-_KEYS = {"joints": "observation.state", "keypoints": "observation.keypoints", "actions": "action", "times": "timestamp"}
 
 
-@dataclass(frozen=True)
+def stored(key: str, dtype: DTypeLike, *shape: int | str) -> Any:
+    """A field of an episode: its key on disk, its type, and its shape in numbers and named sizes.
+
+    A name stands for the same number in all fields of one episode; "T" and "T+1" go together.
+    """
+    return field(metadata={"key": key, "dtype": np.dtype(dtype), "shape": shape})
+
+
+@dataclass(frozen=True, eq=False)
 class Episode:
     """One demonstration.
 
     joints: (T+1, n_joints) [rad]. keypoints: (T+1, K, 3) [m]. actions: (T, n_joints) [rad]. times: (T+1,) [s].
     """
 
-    joints: Array
-    keypoints: Array
-    actions: Array
-    times: Array
+    joints: Array = stored("observation.state", np.float64, "T+1", "n_joints")
+    keypoints: Array = stored("observation.keypoints", np.float64, "T+1", "K", 3)
+    actions: Array = stored("action", np.float64, "T", "n_joints")
+    times: Array = stored("timestamp", np.float64, "T+1")
 
     @property
     def horizon(self) -> int:
@@ -45,39 +51,63 @@ class Episode:
         return len(self.actions)
 
 
-def write_episodes(directory: str | Path, episodes: Sequence[Episode], meta: Mapping[str, Any]) -> None:
+E = TypeVar("E")
+
+
+def write_episodes(directory: str | Path, episodes: Sequence[Any], meta: Mapping[str, Any]) -> None:
     """Write `episode_000.npz` ... and then `meta.json`; every file appears whole or not at all.
 
     Raises EpisodeError for arrays of wrong shape or with NaN, before anything is written.
     """
     directory = Path(directory)
     for index, episode in enumerate(episodes):
-        _check(directory / _name(index), {key: getattr(episode, field) for field, key in _KEYS.items()})
+        check_episode(episode_path(directory, index), episode)
     directory.mkdir(parents=True, exist_ok=True)
     for index, episode in enumerate(episodes):
-        arrays = {key: np.asarray(getattr(episode, field), np.float64) for field, key in _KEYS.items()}
-        with _replacing(directory / _name(index)) as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
-    with _replacing(directory / "meta.json") as file:
-        file.write(json.dumps({"version": _VERSION, "episodes": len(episodes), **meta}, indent=2).encode())
+        write_episode(episode_path(directory, index), episode)
+    write_meta(directory, len(episodes), meta)
 
 
-def read_episodes(directory: str | Path) -> tuple[list[Episode], dict[str, Any]]:
+def write_episode(path: Path, episode: Any) -> None:
+    """Write one episode; the file appears whole or not at all. Raises EpisodeError for malformed arrays."""
+    check_episode(path, episode)
+    with replacing(path) as file:
+        np.savez_compressed(file, allow_pickle=False, **_arrays(episode))
+
+
+def write_meta(directory: Path, count: int, meta: Mapping[str, Any]) -> None:
+    """Write `meta.json`: the version, the number of episodes, and whatever else is known about them."""
+    with replacing(directory / "meta.json") as file:
+        file.write(json.dumps({"version": _VERSION, "episodes": count, **meta}, indent=2).encode())
+
+
+def read_episodes(directory: str | Path, kind: type[E]) -> tuple[list[E], dict[str, Any]]:
     """Episodes and meta data of a directory. Raises EpisodeError, naming file and key, if anything is amiss."""
     directory = Path(directory)
-    meta = _read_meta(directory / "meta.json")
-    return [_read_episode(directory / _name(index)) for index in range(meta["episodes"])], meta
+    meta = read_meta(directory)
+    return list(iterate_episodes(directory, meta["episodes"], kind)), meta
 
 
-def _name(index: int) -> str:
-    return f"episode_{index:03d}.npz"
+def iterate_episodes(directory: Path, count: int, kind: type[E]) -> Iterable[E]:
+    """The first `count` episodes one by one, for those who need not hold all of them in memory."""
+    return (read_episode(episode_path(directory, index), kind) for index in range(count))
 
 
-def _read_meta(path: Path) -> dict[str, Any]:
+def episode_path(directory: Path, index: int) -> Path:
+    """The file of one episode."""
+    return directory / f"episode_{index:03d}.npz"
+
+
+def read_meta(directory: Path) -> dict[str, Any]:
+    """The meta data of a directory of episodes. Raises EpisodeError if there are none, or of another version."""
+    path = directory / "meta.json"
     try:
         meta = json.loads(path.read_text())
     except FileNotFoundError:
-        raise EpisodeError(f"{path} does not exist: make demonstrations with scripts/make_demonstrations.py.") from None
+        raise EpisodeError(
+            f"{path} does not exist: make demonstrations with scripts/make_demonstrations.py, camera data with "
+            "scripts/collect_data.py."
+        ) from None
     except (OSError, ValueError) as error:
         raise EpisodeError(f"{path} cannot be read as JSON: {error}") from error
     if not isinstance(meta, dict) or meta.get("version") != _VERSION or not isinstance(meta.get("episodes"), int):
@@ -85,38 +115,60 @@ def _read_meta(path: Path) -> dict[str, Any]:
     return meta
 
 
-def _read_episode(path: Path) -> Episode:
+def read_episode(path: Path, kind: type[E]) -> E:
+    """One episode. Raises EpisodeError, naming file and key, if anything is amiss."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in _KEYS.values()}
+            arrays = {entry.name: file[entry.metadata["key"]] for entry in _entries(kind)}
+    except FileNotFoundError:
+        raise EpisodeError(f"{path} is missing: the collection was interrupted; run its command again.") from None
     except KeyError as error:
-        raise EpisodeError(f"{path} has no key {error}; it needs {', '.join(_KEYS.values())}.") from None
+        keys = ", ".join(entry.metadata["key"] for entry in _entries(kind))
+        raise EpisodeError(f"{path} has no key {error}; a {kind.__name__} needs {keys}.") from None
     except (OSError, ValueError, BadZipFile) as error:
         raise EpisodeError(f"{path} cannot be read as an episode: {error}") from error
-    _check(path, arrays)
-    return Episode(**{field: arrays[key] for field, key in _KEYS.items()})
+    episode = kind(**arrays)
+    check_episode(path, episode)
+    return episode
 
 
-def _check(path: Path, arrays: Mapping[str, Any]) -> None:
-    for key, array in arrays.items():
-        if not isinstance(array, np.ndarray) or array.dtype != np.float64:
-            raise EpisodeError(f"{path}, {key}: expected a float64 array, got {getattr(array, 'dtype', type(array))}.")
+def check_episode(path: Path, episode: Any) -> None:
+    """Raise EpisodeError, naming file and key, for an array of another type or shape, or with NaN."""
+    sizes: dict[str, int] = {}
+    for entry in _entries(type(episode)):
+        array, key, dtype = getattr(episode, entry.name), entry.metadata["key"], entry.metadata["dtype"]
+        if not isinstance(array, np.ndarray) or array.dtype != dtype:
+            raise EpisodeError(f"{path}, {key}: expected a {dtype} array, got {getattr(array, 'dtype', type(array))}.")
         if not np.isfinite(array).all():
             raise EpisodeError(f"{path}, {key}: holds NaN or infinity.")
-    steps, joints = arrays["action"].shape if arrays["action"].ndim == 2 else (0, 0)
-    points = arrays["observation.keypoints"].shape[1] if arrays["observation.keypoints"].ndim == 3 else 0
-    shapes = {
-        "action": (max(steps, 1), joints),
-        "observation.state": (steps + 1, joints),
-        "observation.keypoints": (steps + 1, points, 3),
-        "timestamp": (steps + 1,),
-    }
-    for key, shape in shapes.items():
-        if arrays[key].shape != shape:
-            raise EpisodeError(f"{path}, {key}: expected the shape {shape}, got {arrays[key].shape}.")
+        if not _fits(array.shape, entry.metadata["shape"], sizes):
+            expected = ", ".join(map(str, entry.metadata["shape"]))
+            known = ", ".join(f"{name} = {size}" for name, size in sizes.items())
+            raise EpisodeError(f"{path}, {key}: expected the shape ({expected}) with {known}, got {array.shape}.")
 
 
-class _replacing:
+def _fits(shape: tuple[int, ...], expected: tuple[int | str, ...], sizes: dict[str, int]) -> bool:
+    """True if a shape agrees with the expected one; names met for the first time get their size here."""
+    if len(shape) != len(expected):
+        return False
+    for size, name in zip(shape, expected, strict=True):
+        if name == "T+1":
+            size, name = size - 1, "T"
+        wanted = name if isinstance(name, int) else sizes.setdefault(name, size)
+        if size != wanted or size < 1:
+            return False
+    return True
+
+
+def _entries(kind: type[Any]) -> tuple[dataclasses.Field[Any], ...]:
+    return dataclasses.fields(kind)
+
+
+def _arrays(episode: Any) -> dict[str, np.ndarray[Any, Any]]:
+    return {entry.metadata["key"]: getattr(episode, entry.name) for entry in _entries(type(episode))}
+
+
+class replacing:
     """A file that takes its name only when it has been written to the end."""
 
     def __init__(self, path: Path) -> None:

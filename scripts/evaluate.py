@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from kpirl_ocp import Default, KeypointCost, Robot, figures
-from kpirl_ocp.episodes import read_episodes
+from kpirl_ocp.episodes import Episode, read_episodes
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.evaluation import evaluate
 from kpirl_ocp.irl.learned_cost import LearnedCost
@@ -23,7 +23,7 @@ def main() -> None:
     args = parser.parse_args()
 
     learned, robot = LearnedCost.read(args.cost), Robot.iiwa()
-    episodes, meta = read_episodes(args.demonstrations)
+    episodes, meta = read_episodes(args.demonstrations, Episode)
     if any(episode.horizon != learned.horizon for episode in episodes):
         raise ProblemError(f"{args.cost} plans {learned.horizon} steps; {args.demonstrations} has other lengths.")
     tests = [as_demonstration(robot, episodes[index]) for index in meta.get("test", range(len(episodes)))]

@@ -45,7 +45,7 @@ def load(args: argparse.Namespace, robot: Robot) -> list[Episode]:
         raise ProblemError(f"--train must be at least one demonstration, got {args.train}.")
     if args.demonstrations is None:
         return demonstrate(robot, args.task, args.train + 5, args.seed, HORIZON)
-    episodes, _ = read_episodes(args.demonstrations)
+    episodes, _ = read_episodes(args.demonstrations, Episode)
     if len(episodes) <= args.train or len({episode.horizon for episode in episodes}) > 1:
         raise ProblemError(
             f"{args.demonstrations} holds {len(episodes)} episodes; it takes {args.train} for training "

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kpirl_ocp import Robot
-from kpirl_ocp.episodes import read_episodes, write_episodes
+from kpirl_ocp.episodes import Episode, read_episodes, write_episodes
 from kpirl_ocp.errors import EpisodeError, ProblemError
 from kpirl_ocp.irl.tasks import as_demonstration, demonstrate
 from kpirl_ocp.motion import minimum_jerk
@@ -82,7 +82,7 @@ def test_a_demonstration_starts_where_the_arm_is_and_ends_at_its_goal(robot, epi
 
 def test_episodes_survive_the_disk_bit_by_bit(tmp_path, episodes):
     write_episodes(tmp_path, episodes, {"task": "placing"})
-    again, meta = read_episodes(tmp_path)
+    again, meta = read_episodes(tmp_path, Episode)
     assert meta["task"] == "placing"
     for old, new in zip(episodes, again, strict=True):
         for field in ("joints", "keypoints", "actions", "times"):
@@ -93,10 +93,10 @@ def test_episodes_survive_the_disk_bit_by_bit(tmp_path, episodes):
 @pytest.mark.parametrize(
     ("change", "key"),
     [
-        ({"actions": np.zeros((3, 7))}, "observation.state"),
+        ({"actions": np.zeros((3, 7))}, "action"),
         ({"keypoints": np.full((10, 3, 3), np.nan)}, "observation.keypoints"),
         ({"times": np.arange(10)}, "timestamp"),
-        ({"joints": np.zeros((10, 6))}, "observation.state"),
+        ({"joints": np.zeros((10, 6))}, "action"),
     ],
 )
 def test_a_malformed_episode_is_refused_before_anything_is_written(tmp_path, episodes, change, key):
@@ -108,17 +108,17 @@ def test_a_malformed_episode_is_refused_before_anything_is_written(tmp_path, epi
 
 def test_reading_names_the_file_and_what_is_wrong(tmp_path, episodes):
     with pytest.raises(EpisodeError, match="make_demonstrations"):
-        read_episodes(tmp_path)
+        read_episodes(tmp_path, Episode)
     write_episodes(tmp_path, episodes, {})
     (tmp_path / "episode_001.npz").write_bytes(b"PK not really")
     with pytest.raises(EpisodeError, match="episode_001"):
-        read_episodes(tmp_path)
+        read_episodes(tmp_path, Episode)
     np.savez(tmp_path / "episode_001.npz", action=np.zeros((9, 7)))
     with pytest.raises(EpisodeError, match=r"observation\.state"):
-        read_episodes(tmp_path)
+        read_episodes(tmp_path, Episode)
     (tmp_path / "meta.json").write_text(json.dumps({"version": 99}))
     with pytest.raises(EpisodeError, match="version"):
-        read_episodes(tmp_path)
+        read_episodes(tmp_path, Episode)
 
 
 def test_a_failed_write_leaves_no_file_behind(tmp_path, episodes):

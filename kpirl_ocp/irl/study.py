@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kpirl_ocp.episodes import read_episodes
+from kpirl_ocp.episodes import Episode, read_episodes
 from kpirl_ocp.irl.apprenticeship import apprenticeship
 from kpirl_ocp.irl.evaluation import evaluate
 from kpirl_ocp.irl.implicit import Implicit
@@ -85,7 +85,7 @@ METHODS = (
 
 def run_case(directory: Path, seed: int, settings: StudySettings) -> dict[str, Curve]:
     """All methods on the episodes of a directory, the first for training, the others for testing."""
-    robot, (episodes, _) = Robot.iiwa(), read_episodes(directory)
+    robot, (episodes, _) = Robot.iiwa(), read_episodes(directory, Episode)
     demonstrations = [as_demonstration(robot, episode) for episode in episodes]
     train, test = demonstrations[:1], demonstrations[1:]
     rng = np.random.default_rng(seed)

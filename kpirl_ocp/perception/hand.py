@@ -35,7 +35,7 @@ class HandScene(World):
         if place.shape != (3,) or not np.isfinite(place).all():
             raise ProblemError(f"position must be three finite numbers [m], got {position!r}.")
         self._client.resetBasePositionAndOrientation(self._bottle, place.tolist(), (0.0, 0.0, 0.0, 1.0))
-        return self._render(self._bottle, link=-1)
+        return self._render(self._bottle, -1, place)
 
     def film(self, path: ArrayLike) -> NDArray[np.uint8]:
         """Frames (n, H, W, 3) along a path (n, 3) [m] of the bottle."""

@@ -119,7 +119,7 @@ class Scene(World):
 
     def render(self) -> Frame:
         """What the camera sees now."""
-        return self._render(self._arm, self._links[BOTTLE])
+        return self._render(self._arm, self._links[BOTTLE], self.link_pose(BOTTLE)[1])
 
     def _checked(self, name: str, values: ArrayLike) -> Array:
         array = np.asarray(values, float)

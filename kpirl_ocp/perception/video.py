@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.types import Indices
 
 Frames = NDArray[np.uint8]  # (n, H, W, 3) RGB
 
@@ -53,8 +54,13 @@ def read_demonstration(
         source_rate = source_rate or recorded
     if not 0 < rate <= source_rate:
         raise EpisodeError(f"{path} has {source_rate:g} frames per second; {rate:g} cannot be taken from it.")
-    chosen = np.arange(0, len(frames), source_rate / rate).round().astype(int)
-    return np.array([_square(frames[index], size) for index in chosen if index < len(frames)])
+    return np.array([_square(frames[index], size) for index in every(len(frames), source_rate, rate)])
+
+
+def every(count: int, source_rate: float, rate: float) -> Indices:
+    """Which of `count` frames recorded at source_rate [Hz] to take for `rate` [Hz]."""
+    chosen = np.arange(0, count, source_rate / rate).round().astype(int)
+    return chosen[chosen < count]
 
 
 def _read_file(path: Path) -> tuple[list[Frames], float]:

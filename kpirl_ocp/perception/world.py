@@ -11,11 +11,11 @@ from typing import TypeVar
 
 import numpy as np
 import pybullet
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pybullet_utils.bullet_client import BulletClient
 
 from kpirl_ocp.perception.camera import Camera
-from kpirl_ocp.types import Mask
+from kpirl_ocp.types import Array, Mask
 
 # Static boxes: half extents [m], centre [m], colour. A table top at z = 0, and a shelf of a board and an upright.
 _FURNITURE = (
@@ -27,10 +27,14 @@ _FURNITURE = (
 
 @dataclass(frozen=True)
 class Frame:
-    """An image rgb (H, W, 3) uint8 and where the bottle is in it, bottle (H, W) bool."""
+    """An image and where the bottle is in it.
+
+    rgb: (H, W, 3) uint8. bottle: (H, W) bool, the pixels that show it. place: (2,) its projected middle [pixels].
+    """
 
     rgb: NDArray[np.uint8]
     bottle: Mask
+    place: Array
 
 
 W = TypeVar("W", bound="World")
@@ -64,8 +68,8 @@ class World:
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         return int(self._client.loadURDF(str(urdf), useFixedBase=True, flags=flags))
 
-    def _render(self, body: int, link: int) -> Frame:
-        """What the camera sees, and which of it is the bottle: `link` of `body`, -1 for the body's base."""
+    def _render(self, body: int, link: int, position: ArrayLike) -> Frame:
+        """What the camera sees, with the bottle, `link` of `body` (-1 for its base), at position (3,) [m]."""
         camera = self.camera
         _, _, rgba, _, labels = self._client.getCameraImage(
             camera.width,
@@ -80,4 +84,5 @@ class World:
         labels = np.array(labels, dtype=np.int64).reshape(shape)
         # A label is body + (link + 1) * 2^24; -1 is the background.
         bottle = (labels >= 0) & (labels & 0xFFFFFF == body) & ((labels >> 24) - 1 == link)
-        return Frame(np.array(rgba, dtype=np.uint8).reshape(*shape, 4)[..., :3].copy(), bottle)
+        rgb = np.array(rgba, dtype=np.uint8).reshape(*shape, 4)[..., :3].copy()
+        return Frame(rgb, bottle, camera.project(position))
