@@ -51,6 +51,29 @@ class Episode:
         return len(self.actions)
 
 
+@dataclass(frozen=True, eq=False)
+class KeypointTrack:
+    """What a keypoint detector saw in a clip.
+
+    keypoints: (T+1, K, 3), x to the right, y down [half an image], and mu in [0, 1]. times: (T+1,) [s].
+    """
+
+    keypoints: Array = stored("observation.keypoints", np.float64, "T+1", "K", 3)
+    times: Array = stored("timestamp", np.float64, "T+1")
+
+
+@dataclass(frozen=True, eq=False)
+class ArmTrack(KeypointTrack):
+    """The same of a robot, with what its encoders measured and what it was told.
+
+    joints: (T+1, n_joints) [rad]. velocities: (T+1, n_joints) [rad/s]. actions: (T, n_joints) [rad].
+    """
+
+    joints: Array = stored("observation.state", np.float64, "T+1", "n_joints")
+    velocities: Array = stored("observation.velocity", np.float64, "T+1", "n_joints")
+    actions: Array = stored("action", np.float64, "T", "n_joints")
+
+
 E = TypeVar("E")
 
 

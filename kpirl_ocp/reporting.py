@@ -6,7 +6,7 @@ import json
 import platform
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from kpirl_ocp.errors import KpirlError
 
-_PACKAGES = ("kpirl-ocp", "casadi", "pin", "numpy", "scipy")
+_PACKAGES = ("kpirl-ocp", "casadi", "pin", "numpy", "scipy", "pybullet", "torch")
 
 
 def run(main: Callable[[], None]) -> None:
@@ -40,10 +40,17 @@ def output_directory(path: str | Path) -> Path:
 def write_metrics(directory: Path, settings: Mapping[str, Any], results: Mapping[str, Any]) -> Path:
     """`metrics.json`: settings, versions and results."""
     path = directory / "metrics.json"
-    versions = {"python": platform.python_version()} | {package: version(package) for package in _PACKAGES}
+    versions = {"python": platform.python_version()} | {package: _version(package) for package in _PACKAGES}
     content = {"settings": settings, "versions": versions, "results": results}
     path.write_text(json.dumps(content, indent=2, default=_plain) + "\n")
     return path
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
 
 
 def _plain(value: Any) -> Any:

@@ -1,0 +1,92 @@
+"""Train the keypoint detector on camera data without labels, and score it on data it has not seen.
+
+Killed, the same command goes on where its last checkpoint was. Presets: tiny (for tests), default, full (the
+paper's scale), minderer (the published losses alone).
+"""
+
+import argparse
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from kpirl_ocp import figures
+from kpirl_ocp.perception.clips import recordings, unlabelled
+from kpirl_ocp.perception.detector import KeypointDetector
+from kpirl_ocp.perception.detector_evaluation import DetectorScores, score
+from kpirl_ocp.perception.detector_training import PRESETS, TERMS, Trained, train_detector
+from kpirl_ocp.perception.tracks import contact_sheet, track_video
+from kpirl_ocp.reporting import output_directory, run, table, write_metrics
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", required=True, help="directory of clips of the robot (collect_data.py keypoints)")
+    parser.add_argument("--videos", nargs="*", default=[], help="more clips: videos, or directories of videos")
+    parser.add_argument("--test", nargs="*", default=[], help="directories of held-out clips to score on")
+    parser.add_argument("--preset", choices=list(PRESETS), default="default")
+    parser.add_argument("--steps", type=int, help="training steps (default: the preset's)")
+    parser.add_argument("--seed", type=int, default=0, help="of weights and batches (default: 0)")
+    parser.add_argument("--threads", type=int, default=2, help="of torch (default: 2)")
+    parser.add_argument("--out", default="out/detector", help="directory to write (default: %(default)s)")
+    return parser.parse_args()
+
+
+def draw_curves(trained: Trained, path: Path) -> Path:
+    figure, axes = figures.new_figure(1, len(TERMS), width=2.6, height=2.4)
+    for axis, name in zip(axes, TERMS, strict=True):
+        axis.plot(trained.curves[name], color=figures.COLOURS[0], linewidth=0.8)
+        axis.set(title=name, xlabel="step", yscale="log" if (trained.curves[name] > 0).all() else "linear")
+        axis.grid(alpha=0.3, which="both")
+    axes[0].set_ylabel("loss")
+    return figures.save(figure, path)
+
+
+def score_rows(scores: dict[str, DetectorScores]) -> list[list[object]]:
+    """A row per data set and keypoint, and one for their mean."""
+    rows: list[list[object]] = []
+    for name, found in scores.items():
+        columns = np.array([found.error, found.on_mask, found.displacement, found.jitter])
+        rows += [[f"{name}, keypoint {k}", *map(float, column)] for k, column in enumerate(columns.T)]
+        rows.append([f"{name}, mean", *map(float, columns.mean(axis=1))])
+    return rows
+
+
+def main() -> None:
+    args = parse()
+    torch.set_num_threads(args.threads)
+    out = output_directory(args.out)
+    settings = PRESETS[args.preset]
+    settings = settings if args.steps is None else replace(settings, steps=args.steps)
+    clips = [clip.images for clip in recordings(args.data)]
+    others = unlabelled(args.videos)
+    trained = train_detector(clips, settings, args.seed, others=others, checkpoint=out / "checkpoint.safetensors")
+    detector = KeypointDetector(trained.model, settings.size)
+
+    tests = {Path(directory).name: recordings(directory) for directory in args.test}
+    scores = {name: score(detector, held_out) for name, held_out in tests.items()}
+    results = {
+        "steps": len(trained.curves["total"]),
+        "losses": {name: float(curve[-50:].mean()) for name, curve in trained.curves.items()},
+        "scores": {name: asdict(found) | {"on_object": found.on_object} for name, found in scores.items()},
+    }
+    write_metrics(out, vars(args) | asdict(settings), results)
+    card = {
+        "architecture": {name: getattr(settings, name) for name in ("size", "keypoints", "encoder", "filters")},
+        "training": {"preset": args.preset, "seed": args.seed, "clips": len(clips), "videos": len(others)},
+        "metrics": {name: {"error": float(s.error.mean()), "on_object": s.on_object} for name, s in scores.items()},
+    }
+    model = detector.save(out / "detector.json", card)
+    if scores:
+        header = ["", "error [px]", "on the bottle", "displacement error [px]", "jitter [px]"]
+        print(table(header, score_rows(scores)))
+        sheet = {name: (held[0].images, detector.detect(held[0].images)) for name, held in tests.items()}
+        print(f"\nsheet:  {contact_sheet(out / 'contact_sheet.png', sheet)}")
+        for name, (images, keypoints) in sheet.items():
+            track_video(out / f"tracks_{name}.mp4", images, keypoints, rate=5)
+    print(f"curves: {draw_curves(trained, out / 'curves.png')}\nmodel:  {model}")
+
+
+if __name__ == "__main__":
+    run(main)
