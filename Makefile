@@ -1,11 +1,16 @@
 # make demo: install, learn a cost on the iiwa, plan with it.   make test: install, lint, type-check, test.
 # make study: the paper's simulation study, both tasks.         make benchmark: timings.
+# make models: camera data, keypoint detector and dynamics at the paper's scale (SEED=0, MODELS=out/models).
 PYTHON ?= $(firstword $(shell command -v python3.11 python3.10 python3))
 BIN := .venv/bin
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test study benchmark clean
+SEED := 0
+MODELS := out/models
+COLLECT = $(BIN)/python scripts/collect_data.py
+
+.PHONY: demo test study benchmark models clean
 
 demo: .venv/installed
 	$(BIN)/python scripts/learn_cost.py --task placing --method implicit --out out/demo
@@ -16,6 +21,20 @@ study: .venv/installed
 benchmark: .venv/installed
 	$(BIN)/python scripts/benchmark.py --out out/benchmark
 
+# Training data has the seed 10 SEED, held-out data 10 SEED + 1.
+models: .venv/installed-perception
+	for motion in keypoints sines placing hand-wandering; do \
+		$(COLLECT) $$motion --seed $(SEED)0 --out $(MODELS)/data/$$motion || exit; done
+	for motion in keypoints sines placing hand-placing; do \
+		$(COLLECT) $$motion --seed $(SEED)1 --episodes 24 --out $(MODELS)/test/$$motion || exit; done
+	$(BIN)/python scripts/train_keypoints.py --preset full --seed $(SEED) --out $(MODELS)/detector \
+		--data $(MODELS)/data/keypoints --videos $(MODELS)/data/hand-wandering \
+		--test $(addprefix $(MODELS)/test/,keypoints sines placing hand-placing)
+	$(BIN)/python scripts/train_dynamics.py --detector $(MODELS)/detector/detector.json --seed $(SEED) \
+		--data $(MODELS)/data/sines --test $(MODELS)/test/sines --out $(MODELS)/reaching
+	$(BIN)/python scripts/train_dynamics.py --detector $(MODELS)/detector/detector.json --seed $(SEED) \
+		--data $(MODELS)/data/placing --test $(MODELS)/test/placing --out $(MODELS)/placing
+
 test: .venv/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -25,6 +44,10 @@ test: .venv/installed-test
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	touch $@
+
+.venv/installed-perception: .venv/installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[perception]"
 	touch $@
 
 .venv/installed-test: .venv/installed

@@ -36,11 +36,11 @@ BOTTLE_SHAPES = (
     Shape((0.015, 0.07), (0.0, 0.0, 0.095), colour=_GREEN),
     Shape((0.017, 0.02), (0.0, 0.0, 0.135), colour=_WHITE),
 )
-# A palm and two fingers that close around the bottle from the flange's side.
+# A round body and two fingers that close around the bottle from the flange's side.
 GRIPPER_SHAPES = (
-    Shape((0.06, 0.12, 0.04), colour=_DARK),
-    Shape((0.04, 0.015, 0.09), (0.0, 0.047, 0.06), colour=_DARK),
-    Shape((0.04, 0.015, 0.09), (0.0, -0.047, 0.06), colour=_DARK),
+    Shape((0.042, 0.05), colour=_DARK),
+    Shape((0.022, 0.010, 0.07), (0.0, 0.044, 0.055), colour=_DARK),
+    Shape((0.022, 0.010, 0.07), (0.0, -0.044, 0.055), colour=_DARK),
 )
 
 # A right hand that comes from +x and closes around the bottle's body: palm, four fingers, thumb, wrist and sleeve.

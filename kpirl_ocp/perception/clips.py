@@ -20,7 +20,7 @@ def recordings(directory: str | Path) -> list[Recording]:
     """The clips of a directory made by `scripts/collect_data.py`; those of a hand at 5 Hz."""
     directory = Path(directory)
     meta = read_meta(directory)
-    if meta.get("motion") == "hand":
+    if meta.get("robot") is None:
         return [read_hand(episode_path(directory, i), _RATE) for i in range(meta["episodes"])]
     return list(iterate_episodes(directory, meta["episodes"], Recording))
 

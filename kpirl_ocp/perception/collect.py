@@ -19,7 +19,7 @@ from tqdm import tqdm
 from kpirl_ocp.episodes import episode_path, read_meta, write_meta
 from kpirl_ocp.errors import EpisodeError
 from kpirl_ocp.perception.camera import Camera
-from kpirl_ocp.perception.motions import MOTIONS, Motion
+from kpirl_ocp.perception.motions import MOTIONS, ArmMotion, Motion
 
 
 def collect(directory: str | Path, motion: Motion, count: int, seed: int = 0, jobs: int = 1) -> Path:
@@ -50,7 +50,7 @@ def describe(motion: Motion, seed: int) -> dict[str, Any]:
         "fps": motion.rate,
         "size": [camera.height, camera.width],
         "camera": asdict(camera) | {"intrinsics": camera.intrinsics.tolist()},
-        "robot": None if name == "hand" else "iiwa",
+        "robot": "iiwa" if isinstance(motion, ArmMotion) else None,
         "seed": seed,
     }
 

@@ -15,12 +15,13 @@ from torch.nn import functional
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Factors of the terms. With repulsion, attention and equivariance at zero these are the published losses."""
+    """Factors of the terms. With repulsion, attention, appearance and equivariance at zero: the published losses."""
 
     separation: float = 2.0
     repulsion: float = 2.0
     sparsity: float = 5.0
     attention: float = 2.0
+    appearance: float = 20.0
     equivariance: float = 5.0
 
 
@@ -67,16 +68,32 @@ def sparsity(heat: Tensor) -> Tensor:
 
 
 def motion(clips: Tensor, cells: int) -> Tensor:
-    """Where something moves (B, T, cells, cells): |frame - median over time|, its largest value in a clip being 1."""
+    """Where something moves (B, T, cells, cells), from 0 to 1: |frame - median over time|, pooled to the heatmap.
+
+    A quarter of the largest change in the clip counts as full motion, so that all of what moves is alike, not only its
+    strongest edge.
+    """
     change = (clips - clips.median(1, keepdim=True).values).abs().sum(2)  # (B, T, S, S)
     pooled = functional.adaptive_avg_pool2d(change, cells)
-    return pooled / pooled.amax((1, 2, 3), keepdim=True).clamp_min(1e-3)
+    full = 0.25 * pooled.amax((1, 2, 3), keepdim=True).clamp_min(1e-3)
+    return (pooled / full).clamp_max(1.0)
 
 
 def attention(heat: Tensor, moving: Tensor) -> Tensor:
     """-log(1e-3 + sum_ij p_ij m_ij): the heatmaps' mass belongs where something moves (B, T, cells, cells)."""
     probability = heat / heat.sum((-2, -1), keepdim=True).clamp_min(1e-12)
     return -torch.log(1e-3 + (probability * moving[:, :, None]).sum((-2, -1))).mean()
+
+
+def appearance(clips: Tensor, heat: Tensor) -> Tensor:
+    """Variance over frames and clips of the colour under each heatmap, sum_ij p_ij colour_ij, summed over colours.
+
+    What is the same in all clips is the object; robot, gripper, hand and sleeve are not.
+    """
+    colours = functional.adaptive_avg_pool2d(clips.flatten(0, 1), heat.shape[-1]).unflatten(0, clips.shape[:2])
+    probability = heat / heat.sum((-2, -1), keepdim=True).clamp_min(1e-12)
+    under = torch.einsum("btkij,btcij->btkc", probability, colours)
+    return under.flatten(0, 1).var(0, correction=0).sum(-1).mean()
 
 
 def shifted(frames: Tensor, offset: Tensor) -> Tensor:

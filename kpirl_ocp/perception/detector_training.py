@@ -25,7 +25,7 @@ from kpirl_ocp.perception.detector_losses import LossWeights
 from kpirl_ocp.perception.video import Frames
 from kpirl_ocp.types import Array
 
-TERMS = ("reconstruction", "separation", "repulsion", "sparsity", "attention", "equivariance", "total")
+TERMS = ("reconstruction", "separation", "repulsion", "sparsity", "attention", "appearance", "equivariance", "total")
 _CLIP_NORM = 10.0  # of the gradient, as published
 _WINDOW = 50  # steps over which the loss is averaged to see whether it still falls
 _PROGRESS = 0.01  # relative fall of that average that counts
@@ -61,7 +61,9 @@ PRESETS: Mapping[str, DetectorSettings] = {
     "minderer": DetectorSettings(
         encoder="plain",
         filters=32,
-        losses=LossWeights(separation=10.0, repulsion=0.0, sparsity=5.0, attention=0.0, equivariance=0.0),
+        losses=LossWeights(
+            separation=10.0, repulsion=0.0, sparsity=5.0, attention=0.0, appearance=0.0, equivariance=0.0
+        ),
     ),
 }
 
@@ -127,6 +129,7 @@ def _step(
         "repulsion": losses.repulsion(keypoints),
         "sparsity": losses.sparsity(heat),
         "attention": losses.attention(heat, losses.motion(clips, model.cells)),
+        "appearance": losses.appearance(clips, heat),
         "equivariance": torch.zeros(()),
     }
     if weights.equivariance:

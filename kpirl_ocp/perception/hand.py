@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.motion import forward_then_down
+from kpirl_ocp.motion import forward_then_down, minimum_jerk
 from kpirl_ocp.perception.bodies import write_hand_with_bottle
 from kpirl_ocp.perception.world import Frame, World
 from kpirl_ocp.types import Array
@@ -51,8 +51,23 @@ def placing_path(rng: np.random.Generator, *, seconds: float = 2.0, rate: float 
     forward, down = rng.uniform(0.15, 0.22), rng.uniform(0.10, 0.15)
     # The bottle comes to stand on the board: its foot is 0.105 m below its frame, the board's top at 0.31 m.
     end = np.array([rng.uniform(0.66, 0.72), 0.0, 0.31 + 0.105])
-    path = end - [forward, 0.0, -down] + forward_then_down(forward, down, times)
+    return _trembling(end - [forward, 0.0, -down] + forward_then_down(forward, down, times), rng, rate, tremor)
+
+
+def wandering_path(
+    rng: np.random.Generator, *, seconds: float = 4.0, rate: float = RATE, tremor: float = 1e-3
+) -> Array:
+    """Path (n, 3) [m] of a bottle that is carried about in front of the camera, to a new random place every second."""
+    places = rng.uniform([0.40, 0.0, 0.42], [0.75, 0.0, 0.74], (max(1, round(seconds)) + 1, 3))
+    times = np.linspace(0, len(places) - 1, round(seconds * rate) + 1)
+    leg = np.minimum(times.astype(int), len(places) - 2)
+    progress = minimum_jerk(times - leg)[:, None]
+    return _trembling(places[leg] + progress * (places[leg + 1] - places[leg]), rng, rate, tremor)
+
+
+def _trembling(path: Array, rng: np.random.Generator, rate: float, tremor: float) -> Array:
+    """The path (n, 3) [m] with smoothed noise of standard deviation `tremor` [m]."""
     window = max(1, round(0.1 * rate))
-    noise = rng.normal(0.0, tremor * np.sqrt(window), (len(times) + window - 1, 3))
+    noise = rng.normal(0.0, tremor * np.sqrt(window), (len(path) + window - 1, 3))
     kernel = np.full(window, 1 / window)
     return path + np.column_stack([np.convolve(noise[:, axis], kernel, mode="valid") for axis in range(3)])

@@ -18,7 +18,7 @@ from kpirl_ocp.episodes import write_episode
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.motion import forward_then_down, minimum_jerk
 from kpirl_ocp.perception.bodies import BOTTLE
-from kpirl_ocp.perception.hand import RATE, HandScene, placing_path
+from kpirl_ocp.perception.hand import RATE, HandScene, placing_path, wandering_path
 from kpirl_ocp.perception.posture import UPRIGHT, carry
 from kpirl_ocp.perception.recordings import ArmRecording, Truth
 from kpirl_ocp.perception.scene import Scene
@@ -173,11 +173,21 @@ class HandPlacing:
 
     def write(self, path: Path, rng: np.random.Generator) -> None:
         """Film one demonstration: the truth to `path`, the video beside it."""
-        with HandScene() as scene:
-            path_of_bottle = placing_path(rng, seconds=self.seconds, rate=self.rate, tremor=self.tremor)
-            frames = [scene.look(position) for position in path_of_bottle]
-        write_video(path.with_suffix(".avi"), np.array([frame.rgb for frame in frames]), self.rate)
-        write_episode(path, Truth(**Truth.columns(frames, self.rate)))
+        _film(path, placing_path(rng, seconds=self.seconds, rate=self.rate, tremor=self.tremor), self.rate)
+
+
+@dataclass(frozen=True)
+class HandWandering:
+    """Clips for the detector: a hand carries the bottle about; a lossless video beside the truth."""
+
+    episodes: ClassVar[int] = 24
+    rate: int = setting(int(RATE), "frames per second")
+    seconds: float = setting(4.0, "length of the clip")
+    tremor: float = setting(1e-3, "standard deviation of the hand's wander [m]")
+
+    def write(self, path: Path, rng: np.random.Generator) -> None:
+        """Film one clip: the truth to `path`, the video beside it."""
+        _film(path, wandering_path(rng, seconds=self.seconds, rate=self.rate, tremor=self.tremor), self.rate)
 
 
 MOTIONS: Mapping[str, type[Motion]] = {
@@ -185,7 +195,8 @@ MOTIONS: Mapping[str, type[Motion]] = {
     "sines": Sines,
     "placing": Placing,
     "reaching": Reaching,
-    "hand": HandPlacing,
+    "hand-placing": HandPlacing,
+    "hand-wandering": HandWandering,
 }
 
 
@@ -229,6 +240,14 @@ def _position(scene: Scene, theta: Array) -> Array:
     """Where the bottle is (3,) [m] with the arm at theta (7,) [rad]."""
     scene.reset(theta)
     return scene.link_pose(BOTTLE)[1]
+
+
+def _film(path: Path, positions: Array, rate: int) -> None:
+    """Film a hand that carries the bottle along positions (n, 3) [m]."""
+    with HandScene() as scene:
+        frames = [scene.look(position) for position in positions]
+    write_video(path.with_suffix(".avi"), np.array([frame.rgb for frame in frames]), rate)
+    write_episode(path, Truth(**Truth.columns(frames, rate)))
 
 
 def _follow(scene: Scene, reference: Array, noise: Array | None = None) -> ArmRecording:
