@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import tempfile
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -148,7 +148,7 @@ def read_episode(path: Path, kind: type[E]) -> E:
     except KeyError as error:
         keys = ", ".join(entry.metadata["key"] for entry in _entries(kind))
         raise EpisodeError(f"{path} has no key {error}; a {kind.__name__} needs {keys}.") from None
-    except (OSError, ValueError, BadZipFile) as error:
+    except (OSError, ValueError, TypeError, EOFError, NotImplementedError, BadZipFile, zlib.error) as error:
         raise EpisodeError(f"{path} cannot be read as an episode: {error}") from error
     episode = kind(**arrays)
     check_episode(path, episode)
@@ -196,14 +196,15 @@ class replacing:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.part = path.with_name(f".{path.name}.{os.getpid()}.part")
 
     def __enter__(self) -> BinaryIO:
-        self.file = tempfile.NamedTemporaryFile(dir=self.path.parent, prefix=".", suffix=".part", delete=False)
-        return self.file  # type: ignore[return-value]
+        self.file = self.part.open("wb")
+        return self.file
 
     def __exit__(self, kind: object, *_: object) -> None:
         self.file.close()
         if kind is None:
-            os.replace(self.file.name, self.path)
+            self.part.replace(self.path)
         else:
-            os.unlink(self.file.name)
+            self.part.unlink()

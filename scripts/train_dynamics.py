@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from kpirl_ocp import figures
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.perception.clips import detect_tracks
 from kpirl_ocp.perception.detector import KeypointDetector
 from kpirl_ocp.perception.dynamics import ACTIVATIONS
@@ -70,11 +71,12 @@ def main() -> None:
     detector = KeypointDetector.load(args.detector)
     settings = replace(DynamicsSettings(), activation=args.activation, steps=args.steps, epochs=args.epochs)
     tracks = [track for directory in args.data for track in detect_tracks(detector, directory)]
+    tests = {Path(directory).name: detect_tracks(detector, directory) for directory in args.test}
+    shortest = min(len(track.actions) for held_out in tests.values() for track in held_out)
+    if not 1 <= args.ahead <= shortest:
+        raise ProblemError(f"--ahead must be from 1 to the {shortest} steps of the shortest test, got {args.ahead}.")
     model, curves = train_dynamics(tracks, settings, args.seed)
-    scores = {
-        Path(directory).name: score_dynamics(model, detect_tracks(detector, directory), args.ahead)
-        for directory in args.test
-    }
+    scores = {name: score_dynamics(model, held_out, args.ahead) for name, held_out in tests.items()}
 
     rows = [row for name, found in scores.items() for row in score_rows(name, found)]
     print(table(["test", "NMSE", "nothing moves", "ratio"], rows))

@@ -1,6 +1,6 @@
 """The keypoint detector: an autoencoder for clips whose bottleneck is K keypoints per frame.
 
-    frame_t -> encoder -> heatmaps -> keypoints z_t -> Gaussian maps -> decoder -> frame_0 + predicted change
+    frame_t -> encoder -> scores -> keypoints z_t -> Gaussian maps -> decoder -> frame_0 + predicted change
 
 The decoder also sees features and maps of the first frame, so that the keypoints need to tell only what moved
 (Minderer et al., 2019). The encoder is a small ResNet-18 with group normalisation (paper, A.1), or plain convolutions.
@@ -21,10 +21,10 @@ STRIDE = 4  # image pixels per heatmap cell
 
 
 class Encoded(NamedTuple):
-    """features (B, F, h, w), heat (B, K, h, w) > 0 and keypoints (B, K, 3) of B frames."""
+    """features (B, F, h, w), scores (B, K, h, w) of cells and keypoints (B, K, 3) of B frames."""
 
     features: Tensor
-    heat: Tensor
+    scores: Tensor
     keypoints: Tensor
 
 
@@ -91,22 +91,21 @@ class KeypointAutoencoder(nn.Module):
     def encode(self, frames: Tensor) -> Encoded:
         """What the encoder sees in frames (B, 3, S, S) with values in [0, 1]."""
         features = self.encoder(_concatenated(frames - 0.5, _coordinates(frames)))
-        heat = functional.softplus(self.head(features).float())
-        return Encoded(features, heat, expectation(heat))
+        scores = self.head(features)
+        return Encoded(features, scores, expectation(scores))
 
     def forward(self, clips: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Clips (B, T, 3, S, S) -> reconstruction (B, T, 3, S, S), keypoints (B, T, K, 3), heat (B, T, K, h, w)."""
+        """Clips (B, T, 3, S, S) -> reconstruction (B, T, 3, S, S), keypoints (B, T, K, 3), scores (B, T, K, h, w)."""
         batch, steps = clips.shape[:2]
-        features, heat, keypoints = self.encode(clips.flatten(0, 1))
+        features, scores, keypoints = self.encode(clips.flatten(0, 1))
         maps = gaussian_maps(keypoints, self.cells)
 
         def first(x: Tensor) -> Tensor:
             return x.unflatten(0, (batch, steps))[:, :1].expand(-1, steps, -1, -1, -1).flatten(0, 1)
 
-        context = _concatenated(first(features), first(maps), maps, _coordinates(maps))
-        change = self.decoder(context).float().unflatten(0, (batch, steps))
-        shape = (batch, steps)
-        return clips[:, :1] + change, keypoints.unflatten(0, shape), heat.unflatten(0, shape)
+        change = self.decoder(_concatenated(first(features), first(maps), maps, _coordinates(maps)))
+        painted = clips[:, :1] + change.unflatten(0, (batch, steps))
+        return painted, keypoints.unflatten(0, (batch, steps)), scores.unflatten(0, (batch, steps))
 
 
 def _convolution(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:

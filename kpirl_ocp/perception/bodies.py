@@ -27,7 +27,7 @@ class Shape:
 
 
 _QUARTER = 1.5707963267948966
-_GREEN, _WHITE, _DARK = (0.05, 0.45, 0.15), (0.92, 0.92, 0.88), (0.15, 0.15, 0.17)
+_GREEN, _WHITE, _SILVER = (0.05, 0.45, 0.15), (0.92, 0.92, 0.88), (0.75, 0.76, 0.78)
 
 # A bottle 0.25 m high, its frame in the middle of the body, z towards the neck.
 BOTTLE_SHAPES = (
@@ -38,20 +38,20 @@ BOTTLE_SHAPES = (
 )
 # A round body and two fingers that close around the bottle from the flange's side.
 GRIPPER_SHAPES = (
-    Shape((0.042, 0.05), colour=_DARK),
-    Shape((0.022, 0.010, 0.07), (0.0, 0.044, 0.055), colour=_DARK),
-    Shape((0.022, 0.010, 0.07), (0.0, -0.044, 0.055), colour=_DARK),
+    Shape((0.042, 0.05), colour=_SILVER),
+    Shape((0.022, 0.010, 0.07), (0.0, 0.044, 0.055), colour=_SILVER),
+    Shape((0.022, 0.010, 0.07), (0.0, -0.044, 0.055), colour=_SILVER),
 )
 
-# A right hand that comes from +x and closes around the bottle's body: palm, four fingers, thumb, wrist and sleeve.
-_SKIN, _SLEEVE = (0.87, 0.67, 0.55), (0.20, 0.25, 0.50)
+# A right hand from +x that closes around the bottle's body: palm, four fingers, thumb, wrist and a white sleeve.
+_SKIN, _SLEEVE = (0.87, 0.67, 0.55), (0.95, 0.95, 0.93)
 HAND_SHAPES = (
     Shape((0.03, 0.06, 0.09), (0.060, 0.0, -0.02), colour=_SKIN),
     *(Shape((0.009, 0.085), (0.012, -0.045, z), (0.0, _QUARTER, 0.0), _SKIN) for z in (-0.055, -0.033, -0.011, 0.011)),
     *(Shape((0.009, 0.050), (-0.036, -0.022, z), (_QUARTER, 0.0, 0.0), _SKIN) for z in (-0.055, -0.033, -0.011, 0.011)),
     Shape((0.011, 0.075), (0.018, 0.046, 0.005), (0.0, _QUARTER, 0.0), _SKIN),
     Shape((0.026, 0.07), (0.105, 0.0, -0.02), (0.0, _QUARTER, 0.0), _SKIN),
-    Shape((0.042, 0.90), (0.590, 0.0, -0.02), (0.0, _QUARTER, 0.0), _SLEEVE),  # out of the image
+    Shape((0.038, 0.90), (0.590, 0.0, -0.02), (0.0, _QUARTER, 0.0), _SLEEVE),  # out of the image
 )
 
 

@@ -55,7 +55,7 @@ class Checkpoint:
             raise EpisodeError(f"{self.path} is no checkpoint: {error}. Delete it to start anew.") from error
         if not metadata or metadata.get("configuration") != self.configuration:
             raise EpisodeError(
-                f"{self.path} belongs to a training with other settings: delete it, or use another --out."
+                f"{self.path} belongs to a training with other settings or data: delete it, or use another --out."
             )
         model.load_state_dict(_below("model.", tensors))
         state = optimiser.state_dict()

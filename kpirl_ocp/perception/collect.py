@@ -28,8 +28,10 @@ def collect(directory: str | Path, motion: Motion, count: int, seed: int = 0, jo
     Raises EpisodeError if the directory holds data of other settings.
     """
     directory = Path(directory)
-    if count < 1 or jobs < 1:
-        raise EpisodeError(f"{directory}: at least one episode and one process are needed, got {count} and {jobs}.")
+    if count < 1 or jobs < 1 or seed < 0:
+        raise EpisodeError(
+            f"{directory}: needs at least one episode and one process and a seed >= 0, got {count}, {jobs} and {seed}."
+        )
     directory.mkdir(parents=True, exist_ok=True)
     _agree(directory, count, describe(motion, seed))
     missing = [i for i in range(count) if not episode_path(directory, i).exists()]

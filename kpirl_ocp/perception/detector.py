@@ -14,7 +14,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.perception.autoencoder import KeypointAutoencoder
 from kpirl_ocp.perception.detector_training import resize
 from kpirl_ocp.perception.keypoints import sharpened
-from kpirl_ocp.perception.model_files import read_model, write_model
+from kpirl_ocp.perception.model_files import fitting, read_model, write_model
 from kpirl_ocp.perception.video import Frames
 from kpirl_ocp.types import Array
 
@@ -36,9 +36,10 @@ class KeypointDetector:
     def load(cls, path: str | Path) -> KeypointDetector:
         """The detector of a card `path` (.json) and the weights beside it. Raises EpisodeError for damaged files."""
         card, tensors = read_model(Path(path), KIND)
-        build = card["architecture"]
-        model = KeypointAutoencoder(build["size"], build["keypoints"], build["encoder"], build["filters"])
-        model.load_state_dict({name: torch.from_numpy(value) for name, value in tensors.items()})
+        with fitting(path):
+            build = card["architecture"]
+            model = KeypointAutoencoder(build["size"], build["keypoints"], build["encoder"], build["filters"])
+            model.load_state_dict({name: torch.from_numpy(value) for name, value in tensors.items()})
         return cls(model.eval(), build["size"])
 
     def save(self, path: str | Path, card: Mapping[str, Any]) -> Path:
@@ -55,10 +56,11 @@ class KeypointDetector:
                 "perception.video.read_demonstration crops and resizes a video."
             )
         batches = [images[start : start + _BATCH] for start in range(0, len(images), _BATCH)]
-        return np.concatenate([self._detect(batch) for batch in batches])
+        nothing = np.empty((0, self.model.head.out_channels, 3))
+        return np.concatenate([nothing, *(self._detect(batch) for batch in batches)])
 
     @torch.inference_mode()
     def _detect(self, images: Frames) -> Array:
         frames = torch.from_numpy(resize(images, self.size)).permute(0, 3, 1, 2).float() / 255
-        heat = self.model.encode(frames).heat
-        return sharpened(heat).double().numpy()
+        scores = self.model.encode(frames).scores
+        return sharpened(scores).double().numpy()

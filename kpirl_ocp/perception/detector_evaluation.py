@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from kpirl_ocp.errors import EpisodeError
@@ -13,6 +14,7 @@ from kpirl_ocp.perception.keypoints import to_pixels
 from kpirl_ocp.perception.recordings import Recording
 from kpirl_ocp.types import Array, Mask
 
+_GAP = np.ones((9, 9), np.uint8)  # [pixels]
 ON_OBJECT = 0.8  # a keypoint is on the object if it is in at least this share of the frames
 
 
@@ -22,7 +24,7 @@ class DetectorScores:
 
     error: mean distance [pixels] between the bottle's middle and the best affine map of the keypoint to it. The map is
         fitted on half of the clips and measured on the other half, both ways.
-    on_mask: share of frames in which the keypoint is on the bottle's pixels.
+    on_mask: share of frames in which the keypoint is on the bottle (see `on_mask`).
     displacement: median error [pixels] of how far it moved since the first frame, without any map.
     jitter: root mean square change [pixels] of the mapped keypoint's error from one frame to the next.
     """
@@ -61,7 +63,11 @@ def score(detector: KeypointDetector, recordings: Sequence[Recording]) -> Detect
 
 
 def on_mask(track: Array, mask: Mask) -> Mask:
-    """Whether keypoints (n, K, 2) [pixels] are on masks (n, H, W): (n, K)."""
+    """Whether keypoints (n, K, 2) [pixels] are on masks (n, H, W): (n, K).
+
+    Gaps of a mask are closed first: a finger of the gripper, 6 pixels wide, lies across the bottle.
+    """
+    mask = np.array([cv2.morphologyEx(image.astype(np.uint8), cv2.MORPH_CLOSE, _GAP) for image in mask], bool)
     size = np.array([mask.shape[2], mask.shape[1]])
     columns, rows = np.moveaxis(np.clip(np.floor(track), 0, size - 1).astype(int), -1, 0)
     return mask[np.arange(len(mask))[:, None], rows, columns]

@@ -12,10 +12,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from kpirl_ocp.perception.keypoints import spot
+
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Factors of the terms. With repulsion, attention, appearance and equivariance at zero: the published losses."""
+    """Factors of the terms. All but the separation and the sparsity at zero: the published losses."""
 
     separation: float = 2.0
     repulsion: float = 2.0
@@ -57,42 +59,35 @@ def repulsion(keypoints: Tensor, width: float = 0.1) -> Tensor:
 
 
 def _off_diagonal_mean(alike: Tensor) -> Tensor:
-    """Mean over the pairs k != l of a matrix (K, K) with ones on its diagonal."""
+    """Mean over the pairs k != l of a matrix (K, K) with ones on its diagonal; 0 if there are no pairs."""
     count = len(alike)
-    return (alike.sum() - count) / (count * (count - 1))
+    return (alike.sum() - count) / max(1, count * (count - 1))
 
 
-def sparsity(heat: Tensor) -> Tensor:
-    """Mean activation of the heatmaps (B, T, K, h, w)."""
-    return heat.mean()
+def sparsity(scores: Tensor) -> Tensor:
+    """Mean heat softplus(scores) of the cells (B, T, K, h, w)."""
+    return functional.softplus(scores).mean()
 
 
 def motion(clips: Tensor, cells: int) -> Tensor:
-    """Where something moves (B, T, cells, cells), from 0 to 1: |frame - median over time|, pooled to the heatmap.
-
-    A quarter of the largest change in the clip counts as full motion, so that all of what moves is alike, not only its
-    strongest edge.
-    """
+    """Where something moves (B, T, cells, cells): |frame - median over time|, its largest value in a clip being 1."""
     change = (clips - clips.median(1, keepdim=True).values).abs().sum(2)  # (B, T, S, S)
     pooled = functional.adaptive_avg_pool2d(change, cells)
-    full = 0.25 * pooled.amax((1, 2, 3), keepdim=True).clamp_min(1e-3)
-    return (pooled / full).clamp_max(1.0)
+    return pooled / pooled.amax((1, 2, 3), keepdim=True).clamp_min(1e-3)
 
 
-def attention(heat: Tensor, moving: Tensor) -> Tensor:
-    """-log(1e-3 + sum_ij p_ij m_ij): the heatmaps' mass belongs where something moves (B, T, cells, cells)."""
-    probability = heat / heat.sum((-2, -1), keepdim=True).clamp_min(1e-12)
-    return -torch.log(1e-3 + (probability * moving[:, :, None]).sum((-2, -1))).mean()
+def attention(scores: Tensor, moving: Tensor) -> Tensor:
+    """-log(1e-3 + sum_ij p_ij m_ij): keypoints belong where something moves, m (B, T, cells, cells)."""
+    return -torch.log(1e-3 + (spot(scores) * moving[:, :, None]).sum((-2, -1))).mean()
 
 
-def appearance(clips: Tensor, heat: Tensor) -> Tensor:
-    """Variance over frames and clips of the colour under each heatmap, sum_ij p_ij colour_ij, summed over colours.
+def appearance(clips: Tensor, scores: Tensor) -> Tensor:
+    """Variance over frames and clips of the colour under each keypoint, sum_ij p_ij colour_ij, summed over colours.
 
     What is the same in all clips is the object; robot, gripper, hand and sleeve are not.
     """
-    colours = functional.adaptive_avg_pool2d(clips.flatten(0, 1), heat.shape[-1]).unflatten(0, clips.shape[:2])
-    probability = heat / heat.sum((-2, -1), keepdim=True).clamp_min(1e-12)
-    under = torch.einsum("btkij,btcij->btkc", probability, colours)
+    colours = functional.adaptive_avg_pool2d(clips.flatten(0, 1), scores.shape[-1]).unflatten(0, clips.shape[:2])
+    under = torch.einsum("btkij,btcij->btkc", spot(scores), colours)
     return under.flatten(0, 1).var(0, correction=0).sum(-1).mean()
 
 

@@ -6,6 +6,7 @@ checkpoint was written.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -25,7 +26,16 @@ from kpirl_ocp.perception.detector_losses import LossWeights
 from kpirl_ocp.perception.video import Frames
 from kpirl_ocp.types import Array
 
-TERMS = ("reconstruction", "separation", "repulsion", "sparsity", "attention", "appearance", "equivariance", "total")
+TERMS = (
+    "reconstruction",
+    "separation",
+    "repulsion",
+    "sparsity",
+    "attention",
+    "appearance",
+    "equivariance",
+    "total",
+)
 _CLIP_NORM = 10.0  # of the gradient, as published
 _WINDOW = 50  # steps over which the loss is averaged to see whether it still falls
 _PROGRESS = 0.01  # relative fall of that average that counts
@@ -45,19 +55,24 @@ class DetectorSettings:
     keypoints: int = 4
     encoder: EncoderKind = "resnet"
     filters: int = 16
-    steps: int = 600
+    steps: int = 500
     batch: int = 8
     frames: int = 6
     step_size: float = 1e-3
-    other_share: float = 0.25
+    other_share: float = 0.5
     patience: int = 300
     losses: LossWeights = field(default_factory=LossWeights)
+
+    def __post_init__(self) -> None:
+        for name in ("keypoints", "filters", "steps", "batch", "frames", "patience"):
+            if getattr(self, name) < 1:
+                raise ProblemError(f"{name} must be at least 1, got {getattr(self, name)}.")
 
 
 PRESETS: Mapping[str, DetectorSettings] = {
     "tiny": DetectorSettings(encoder="plain", filters=8, steps=120, patience=120),
     "default": DetectorSettings(),
-    "full": DetectorSettings(size=120, steps=800),
+    "full": DetectorSettings(size=96),
     "minderer": DetectorSettings(
         encoder="plain",
         filters=32,
@@ -93,11 +108,13 @@ def train_detector(
     torch.manual_seed(seed)
     model = KeypointAutoencoder(settings.size, settings.keypoints, settings.encoder, settings.filters)
     optimiser = torch.optim.Adam(model.parameters(), settings.step_size)
-    stored = Checkpoint(checkpoint, {"seed": seed, **asdict(settings)})
-    curves = stored.load(model, optimiser, TERMS)
     sources = [_resized(clips, settings)] + ([_resized(others, settings)] if others else [])
+    stored = Checkpoint(checkpoint, {"seed": seed, "data": _digest(sources), **asdict(settings)})
+    curves = stored.load(model, optimiser, TERMS)
     with tqdm(total=settings.steps, initial=len(curves["total"]), desc="detector", unit="step") as bar:
         for step in range(len(curves["total"]), settings.steps):
+            if _plateau(curves["total"], settings.patience):
+                break
             rng = np.random.default_rng([seed, step])
             _set_step_size(optimiser, settings, step)
             terms = _step(model, optimiser, _batch(sources, settings, rng), settings.losses, rng)
@@ -109,8 +126,6 @@ def train_detector(
             bar.set_postfix(loss=f"{terms['total']:.3g}")
             if (step + 1) % 100 == 0 or step + 1 == settings.steps:
                 stored.save(model, optimiser, curves)
-            if _plateau(curves["total"], settings.patience):
-                break
     return Trained(model.eval(), {name: np.array(values) for name, values in curves.items()})
 
 
@@ -122,14 +137,14 @@ def _step(
     rng: np.random.Generator,
 ) -> dict[str, float]:
     """One step of Adam on clips (B, T, 3, S, S); gives the unweighted terms and the weighted total."""
-    painted, keypoints, heat = model(clips)
+    painted, keypoints, scores = model(clips)
     terms = {
         "reconstruction": losses.reconstruction(clips, painted),
         "separation": losses.separation(keypoints),
         "repulsion": losses.repulsion(keypoints),
-        "sparsity": losses.sparsity(heat),
-        "attention": losses.attention(heat, losses.motion(clips, model.cells)),
-        "appearance": losses.appearance(clips, heat),
+        "sparsity": losses.sparsity(scores),
+        "attention": losses.attention(scores, losses.motion(clips, model.cells)),
+        "appearance": losses.appearance(clips, scores),
         "equivariance": torch.zeros(()),
     }
     if weights.equivariance:
@@ -159,13 +174,22 @@ def _resized(clips: Sequence[Frames], settings: DetectorSettings) -> list[NDArra
     return [resize(clip, settings.size) for clip in clips]
 
 
+def _digest(sources: list[list[Frames]]) -> str:
+    """A fingerprint of the training data."""
+    digest = hashlib.sha256()
+    for source in sources:
+        for clip in source:
+            digest.update(clip.tobytes())
+    return digest.hexdigest()
+
+
 def resize(images: Frames, size: int) -> Frames:
     """Images (n, H, W, 3) as (n, size, size, 3), by area averaging."""
     return np.array([cv2.resize(image, (size, size), interpolation=cv2.INTER_AREA) for image in images], np.uint8)
 
 
 def _batch(sources: list[list[Frames]], settings: DetectorSettings, rng: np.random.Generator) -> Tensor:
-    """Random stretches of random clips (B, T, 3, S, S) in [0, 1], the stated share of them from the second source."""
+    """Random frames of random clips (B, T, 3, S, S) in [0, 1], the stated share of them from the second source."""
     others = round(settings.other_share * settings.batch) if len(sources) > 1 else 0
     chosen = []
     for index in range(settings.batch):

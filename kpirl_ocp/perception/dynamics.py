@@ -17,7 +17,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from kpirl_ocp.perception.model_files import read_model, write_model
+from kpirl_ocp.perception.model_files import fitting, read_model, write_model
 
 KIND = "kpirl_ocp.dynamics"
 Activation = Literal["relu", "tanh", "softplus", "silu"]
@@ -84,8 +84,9 @@ class DynamicsModel(nn.Module):
     def load(cls, path: str | Path) -> DynamicsModel:
         """The model of a card. Raises EpisodeError for missing or damaged files."""
         card, tensors = read_model(Path(path), KIND)
-        sizes = card["inputs"]
-        model = cls(sizes["keypoints"], sizes["joints"], card["activation"], tuple(card["hidden"]))
-        renamed = {name.replace("put.", "put_"): torch.from_numpy(value) for name, value in tensors.items()}
-        model.load_state_dict(renamed)
+        with fitting(path):
+            sizes = card["inputs"]
+            model = cls(sizes["keypoints"], sizes["joints"], card["activation"], tuple(card["hidden"]))
+            renamed = {name.replace("put.", "put_"): torch.from_numpy(value) for name, value in tensors.items()}
+            model.load_state_dict(renamed)
         return model.eval()

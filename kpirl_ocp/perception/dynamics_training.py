@@ -41,6 +41,11 @@ class DynamicsSettings:
     weight_decay: float = 1e-4
     patience: int = 60
 
+    def __post_init__(self) -> None:
+        for name in ("steps", "epochs", "batch", "patience"):
+            if getattr(self, name) < 1:
+                raise ProblemError(f"{name} must be at least 1, got {getattr(self, name)}.")
+
 
 @dataclass(frozen=True)
 class Stretches:
@@ -93,6 +98,9 @@ def train_dynamics(
     inputs = torch.cat([train.z[:, 0], train.theta, train.velocity, train.actions[:, 0]], -1)
     model.normalise(inputs, train.z[:, 1] - train.z[:, 0])
     variance = train.z[:, 1:].flatten(0, 1).var(0)
+    still = [f"{'xy'[i % 2]} of keypoint {i // 2}" for i in np.flatnonzero(variance.numpy() == 0)]
+    if still:
+        raise EpisodeError(f"{', '.join(still)} never changes in the training data: look at the detector.")
     optimiser = torch.optim.AdamW(model.parameters(), settings.step_size, weight_decay=settings.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.epochs)
     curves: dict[str, list[float]] = {"train": [], "validation": []}
@@ -102,8 +110,8 @@ def train_dynamics(
             curves["train"].append(_epoch(model, optimiser, train, variance, settings.batch))
             with torch.inference_mode():
                 curves["validation"].append(float(_nmse(model, validation, variance)))
-            if not np.isfinite(curves["train"][-1]):
-                raise ProblemError(f"the loss became {curves['train'][-1]}: use a smaller step size.")
+            if not np.isfinite([curves["train"][-1], curves["validation"][-1]]).all():
+                raise ProblemError("the loss became NaN or infinite: use a smaller step size.")
             schedule.step()
             bar.update()
             bar.set_postfix(validation=f"{curves['validation'][-1]:.2g}")

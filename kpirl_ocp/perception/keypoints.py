@@ -1,4 +1,4 @@
-"""From heatmaps to keypoints and back (Minderer et al., Unsupervised Learning of Object Structure, 2019).
+"""From scores of image cells to keypoints and back (Minderer et al., Unsupervised Learning of Object Structure, 2019).
 
 A keypoint is (x, y, mu): x to the right and y down, from -1 to 1 across the image, and mu in [0, 1], how sure it is.
 The centre of cell i of n is at (2 i + 1) / n - 1.
@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
+from torch.nn import functional
 
 from kpirl_ocp.types import Array
 
@@ -24,26 +25,36 @@ def centres(count: int) -> Tensor:
     return (2 * torch.arange(count) + 1) / count - 1
 
 
-def expectation(heat: Tensor) -> Tensor:
-    """Keypoints (..., K, 3) of positive heatmaps (..., K, h, w).
+def spot(scores: Tensor) -> Tensor:
+    """Where a keypoint is, as a distribution p (..., h, w) over the cells: the softmax of scores (..., h, w)."""
+    return scores.flatten(-2).softmax(-1).unflatten(-1, scores.shape[-2:])
 
-    x = sum_ij p_ij x_j with p = heat / sum heat, and mu_k = mean(heat_k) / max_l mean(heat_l).
+
+def expectation(scores: Tensor) -> Tensor:
+    """Keypoints (..., K, 3) of scores (..., K, h, w).
+
+    (x, y) is the mean place under `spot`, and mu_k = heat_k / max_l heat_l with heat = mean of softplus(scores).
     """
-    height, width = heat.shape[-2:]
-    total = heat.sum((-2, -1)).clamp_min(1e-12)
-    x = (heat.sum(-2) * centres(width)).sum(-1) / total
-    y = (heat.sum(-1) * centres(height)).sum(-1) / total
-    return torch.stack([x, y, total / total.amax(-1, keepdim=True)], -1)
+    heat = functional.softplus(scores).mean((-2, -1))
+    return torch.cat([_mean_place(spot(scores)), (heat / heat.amax(-1, keepdim=True))[..., None]], -1)
 
 
-def sharpened(heat: Tensor, radius: int = 2) -> Tensor:
+def sharpened(scores: Tensor, radius: int = 2) -> Tensor:
     """Keypoints as by `expectation`, but x and y from the cells within `radius` of the peak only."""
-    height, width = heat.shape[-2:]
-    peak = heat.flatten(-2).argmax(-1)  # (..., K)
+    height, width = scores.shape[-2:]
+    peak = scores.flatten(-2).argmax(-1)  # (..., K)
     near_x = (torch.arange(width) - (peak % width)[..., None]).abs() <= radius  # (..., K, w)
     near_y = (torch.arange(height) - (peak // width)[..., None]).abs() <= radius
-    window = heat * (near_y[..., :, None] & near_x[..., None, :])
-    return torch.cat([expectation(window)[..., :2], expectation(heat)[..., 2:]], -1)
+    near = near_y[..., :, None] & near_x[..., None, :]
+    place = _mean_place(spot(scores.masked_fill(~near, -torch.inf)))
+    return torch.cat([place, expectation(scores)[..., 2:]], -1)
+
+
+def _mean_place(probability: Tensor) -> Tensor:
+    height, width = probability.shape[-2:]
+    x = (probability.sum(-2) * centres(width)).sum(-1)
+    y = (probability.sum(-1) * centres(height)).sum(-1)
+    return torch.stack([x, y], -1)
 
 
 def gaussian_maps(keypoints: Tensor, cells: int, width: float = 1.5) -> Tensor:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,15 @@ def write_model(path: Path, kind: str, tensors: Tensors, card: Mapping[str, Any]
     return path
 
 
+@contextmanager
+def fitting(path: str | Path) -> Iterator[None]:
+    """Report a card that does not describe the weights beside it as an EpisodeError that names the file."""
+    try:
+        yield
+    except (KeyError, TypeError, AttributeError, ValueError, RuntimeError) as error:
+        raise EpisodeError(f"{path} does not describe the weights beside it: {error!r}") from error
+
+
 def read_model(path: Path, kind: str) -> tuple[dict[str, Any], Tensors]:
     """Card and weights. Raises EpisodeError, naming the file, if one is missing, damaged or of another kind."""
     try:
@@ -38,10 +48,9 @@ def read_model(path: Path, kind: str) -> tuple[dict[str, Any], Tensors]:
         raise EpisodeError(f"{error.filename} does not exist: train a model first.") from None
     except (OSError, ValueError, SafetensorError) as error:
         raise EpisodeError(f"{path} or the .safetensors file beside it is damaged: {error}") from error
-    if card.get("kind") != kind or card.get("version") != _VERSION:
-        raise EpisodeError(
-            f"{path} must be a {kind} of version {_VERSION}, not {card.get('kind')!r} of {card.get('version')!r}."
-        )
+    found = (card.get("kind"), card.get("version")) if isinstance(card, dict) else (type(card).__name__, None)
+    if found != (kind, _VERSION):
+        raise EpisodeError(f"{path} must be a {kind} of version {_VERSION}, not {found[0]!r} of version {found[1]}.")
     bad = [name for name, value in tensors.items() if not np.isfinite(value).all()]
     if bad:
         raise EpisodeError(f"{path.with_suffix('.safetensors')}, {bad[0]}: holds NaN or infinity.")

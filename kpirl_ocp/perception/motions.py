@@ -8,7 +8,7 @@ the image.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import ClassVar, Protocol, TypeVar
 
@@ -32,6 +32,26 @@ _MARGIN = 25.0  # the middle of the bottle stays this far from the image's edge 
 _SHELF = 0.415  # height of the middle of a bottle that stands on the shelf [m]
 
 
+T = TypeVar("T", int, float)
+
+
+def setting(default: T, text: str, least: float = 1) -> T:
+    """A number of a motion that is an option of `scripts/collect_data.py`, with its help and its smallest value."""
+    value: T = field(default=default, metadata={"help": text, "least": least})
+    return value
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """Settings that are checked before anything is played."""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value, least = getattr(self, entry.name), entry.metadata["least"]
+            if not value >= least:
+                raise ProblemError(f"{entry.name} must be at least {least}, got {value}.")
+
+
 class Motion(Protocol):
     """A data set in the making."""
 
@@ -47,8 +67,15 @@ class Motion(Protocol):
         ...
 
 
-class ArmMotion:
+@dataclass(frozen=True)
+class ArmMotion(_Checked):
     """A motion of the robot, recorded with all that its encoders and camera see."""
+
+    rate: int = setting(5, "frames per second, a divisor of 240")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        Scene(rate=self.rate)  # refuses a rate that it cannot keep
 
     def record(self, rng: np.random.Generator) -> ArmRecording:
         """Play and record one episode."""
@@ -59,24 +86,14 @@ class ArmMotion:
         write_episode(path, self.record(rng))
 
 
-T = TypeVar("T", int, float)
-
-
-def setting(default: T, text: str) -> T:
-    """A number of a motion that is an option of `scripts/collect_data.py`, with its help."""
-    value: T = field(default=default, metadata={"help": text})
-    return value
-
-
 @dataclass(frozen=True)
 class LastJoint(ArmMotion):
     """Data for the detector (A.2): the arm goes to a random posture, and then only its last joint moves."""
 
     episodes: ClassVar[int] = 108
-    rate: int = setting(5, "frames per second")
-    frames: int = setting(10, "per sequence")
-    swing: float = setting(0.8, "largest amplitude of the last joint [rad]")
-    off_plane: float = setting(0.1, "how far joints 1, 3 and 5 are from the plane of the camera, at most [rad]")
+    frames: int = setting(10, "per sequence", 2)
+    swing: float = setting(0.8, "largest amplitude of the last joint [rad]", 0.0)
+    off_plane: float = setting(0.1, "how far joints 1, 3 and 5 are from the plane of the camera, at most [rad]", 0.0)
 
     def record(self, rng: np.random.Generator) -> ArmRecording:
         """One sequence."""
@@ -95,10 +112,9 @@ class Sines(ArmMotion):
     """Data for the dynamics of reaching (A.3): sine motions of all joints, of joints 2, 4 and 6 the most."""
 
     episodes: ClassVar[int] = 100
-    rate: int = setting(5, "frames per second")
     steps: int = setting(50, "actions per trajectory")
-    amplitude: float = setting(0.25, "largest amplitude of joints 2, 4 and 6 [rad]")
-    others: float = setting(0.03, "largest amplitude of the other joints [rad]")
+    amplitude: float = setting(0.25, "largest amplitude of joints 2, 4 and 6 [rad]", 0.0)
+    others: float = setting(0.03, "largest amplitude of the other joints [rad]", 0.0)
 
     def record(self, rng: np.random.Generator) -> ArmRecording:
         """One trajectory."""
@@ -121,10 +137,10 @@ class Placing(ArmMotion):
     """
 
     episodes: ClassVar[int] = 100
-    rate: int = setting(1, "frames per second")
+    rate: int = setting(1, "frames per second, a divisor of 240")
     steps: int = setting(10, "actions per trajectory")
-    noise: float = setting(0.03, "standard deviation added to each action, joints 2, 4 and 6 [rad]")
-    others: float = setting(0.005, "the same for the other joints [rad]")
+    noise: float = setting(0.03, "standard deviation added to each action, joints 2, 4 and 6 [rad]", 0.0)
+    others: float = setting(0.005, "the same for the other joints [rad]", 0.0)
 
     def record(self, rng: np.random.Generator) -> ArmRecording:
         """One trajectory."""
@@ -146,7 +162,6 @@ class Reaching(ArmMotion):
     """Demonstrations of reaching (5.1): the robot moves the object along the x axis of the image only."""
 
     episodes: ClassVar[int] = 15
-    rate: int = setting(5, "frames per second")
     steps: int = setting(25, "actions per demonstration")
 
     def record(self, rng: np.random.Generator) -> ArmRecording:
@@ -163,13 +178,13 @@ class Reaching(ArmMotion):
 
 
 @dataclass(frozen=True)
-class HandPlacing:
+class HandPlacing(_Checked):
     """Demonstrations of placing (5.2): a hand puts the bottle on the shelf; a lossless video beside the truth."""
 
     episodes: ClassVar[int] = 12
     rate: int = setting(int(RATE), "frames per second")
-    seconds: float = setting(2.0, "length of the demonstration")
-    tremor: float = setting(1e-3, "standard deviation of the hand's wander [m]")
+    seconds: float = setting(2.0, "length of the demonstration", 0.1)
+    tremor: float = setting(1e-3, "standard deviation of the hand's wander [m]", 0.0)
 
     def write(self, path: Path, rng: np.random.Generator) -> None:
         """Film one demonstration: the truth to `path`, the video beside it."""
@@ -177,13 +192,13 @@ class HandPlacing:
 
 
 @dataclass(frozen=True)
-class HandWandering:
+class HandWandering(_Checked):
     """Clips for the detector: a hand carries the bottle about; a lossless video beside the truth."""
 
     episodes: ClassVar[int] = 24
     rate: int = setting(int(RATE), "frames per second")
-    seconds: float = setting(4.0, "length of the clip")
-    tremor: float = setting(1e-3, "standard deviation of the hand's wander [m]")
+    seconds: float = setting(4.0, "length of the clip", 0.1)
+    tremor: float = setting(1e-3, "standard deviation of the hand's wander [m]", 0.0)
 
     def write(self, path: Path, rng: np.random.Generator) -> None:
         """Film one clip: the truth to `path`, the video beside it."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import pybullet
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.perception.bodies import BOTTLE, write_arm_with_bottle
+from kpirl_ocp.perception.bullet import pybullet
 from kpirl_ocp.perception.world import Frame, World
 from kpirl_ocp.types import Array
 

@@ -10,10 +10,9 @@ from types import TracebackType
 from typing import TypeVar
 
 import numpy as np
-import pybullet
 from numpy.typing import ArrayLike, NDArray
-from pybullet_utils.bullet_client import BulletClient
 
+from kpirl_ocp.perception.bullet import connect, pybullet
 from kpirl_ocp.perception.camera import Camera
 from kpirl_ocp.types import Array, Mask
 
@@ -51,7 +50,7 @@ class World:
 
     def __enter__(self: W) -> W:
         self._directory = Path(tempfile.mkdtemp(prefix="kpirl_ocp-"))
-        self._client = BulletClient(pybullet.DIRECT)
+        self._client = connect()
         for half, centre, colour in _FURNITURE:
             visual = self._client.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, rgbaColor=(*colour, 1.0))
             self._client.createMultiBody(baseMass=0, baseVisualShapeIndex=visual, basePosition=centre)

@@ -1,0 +1,38 @@
+"""PyBullet without its greetings, which go past Python's own streams into what scripts print."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Send what C code writes to the process's standard streams nowhere."""
+    library = ctypes.CDLL(None)
+    library.fflush(None)
+    kept = os.dup(1), os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        yield
+        library.fflush(None)
+    finally:
+        os.dup2(kept[0], 1)
+        os.dup2(kept[1], 2)
+        for descriptor in (*kept, nowhere):
+            os.close(descriptor)
+
+
+with _quiet():
+    import pybullet
+    from pybullet_utils.bullet_client import BulletClient
+
+
+def connect() -> BulletClient:
+    """A new world without a window."""
+    with _quiet():
+        return BulletClient(pybullet.DIRECT)
