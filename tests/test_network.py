@@ -1,5 +1,7 @@
 """Networks in the CasADi graph: the numbers of torch, and derivatives that agree with AD and finite differences."""
 
+from itertools import pairwise
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ PIECEWISE_LINEAR = ("identity", "leaky_relu", "relu")
 
 def random_mlp(activation, widths=(9, 13, 6, 4), seed=0, output_activation="identity"):
     rng = np.random.default_rng(seed)
-    pairs = list(zip(widths, widths[1:], strict=False))
+    pairs = list(pairwise(widths))
     weights = [rng.normal(size=(n_out, n_in)) / np.sqrt(n_in) for n_in, n_out in pairs]
     return MLP.from_layers(weights, [rng.normal(size=n) for _, n in pairs], activation, output_activation)
 

@@ -1,6 +1,7 @@
-"""Learned dynamics on disk: what is written is what is planned with, and every defect is named with its file and key."""
+"""Learned dynamics on disk: the numbers of torch, and every defect named with file and key."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ def card(**changes):
 
 def tensors():
     rng, found = np.random.default_rng(0), {}
-    for i, (n_in, n_out) in enumerate(zip(WIDTHS, WIDTHS[1:], strict=False)):
+    for i, (n_in, n_out) in enumerate(pairwise(WIDTHS)):
         found[f"layers.{i}.weight"] = rng.normal(size=(n_out, n_in)) / np.sqrt(n_in)
         found[f"layers.{i}.bias"] = rng.normal(size=n_out)
     for name, n in (("input", WIDTHS[0]), ("output", WIDTHS[-1])):
@@ -92,7 +93,7 @@ def test_a_network_without_hidden_layers_is_a_linear_model(path):
             "'inputs' must be counts of keypoints, joints, velocities, actions",
         ),
         ({"inputs": [8, 3, 3, 3]}, "'inputs' must be counts"),
-        ({"inputs": card()["inputs"] | {"actions": 2}}, "the last three equal"),
+        ({"inputs": card()["inputs"] | {"actions": 2}}, "'inputs' must be .*, the last three equal"),
         ({"residual": 1}, "'residual' must be true or false; it is 1"),
         ({"rate": 0}, "'rate' must be a positive number"),
     ],

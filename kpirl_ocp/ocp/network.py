@@ -198,9 +198,8 @@ def curved(slopes: Sequence[Slopes]) -> bool:
 
 def stack(slopes: Sequence[Slopes], columns: int) -> ca.MX:
     """All slopes in one array (n_m, B), to be kept for later; `unstack` takes them apart."""
-    return ca.vertcat(
-        ca.MX(0, columns), *[part for slope in slopes for part in (slope.first, slope.second) if part is not None]
-    )
+    parts = [part for slope in slopes for part in (slope.first, slope.second) if part is not None]
+    return ca.vertcat(ca.MX(0, columns), *parts)
 
 
 def unstack(mlp: MLP, stacked: ca.MX) -> list[Slopes]:
