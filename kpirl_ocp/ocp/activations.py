@@ -21,7 +21,8 @@ class Slopes:
 
 def relu(a: ca.MX) -> tuple[ca.MX, Slopes]:
     """max(a, 0); the slope at the kink is zero, as in torch."""
-    return ca.if_else(a < 0, 0, a), Slopes(a > 0, None)
+    slope = a > 0
+    return slope * a, Slopes(slope, None)
 
 
 def leaky_relu(a: ca.MX) -> tuple[ca.MX, Slopes]:

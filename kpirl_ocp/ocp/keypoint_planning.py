@@ -8,6 +8,9 @@ ground truth of the simulation study, z_{t+1} = keypoints(theta_{t+1}).
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +19,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.costs import KeypointCost
 from kpirl_ocp.ocp.kinematics import Robot
 from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.network_sweeps import NetworkSweeps
 from kpirl_ocp.ocp.problem import OCP, UNBOUNDED, Bounds, broadcast_bounds
 from kpirl_ocp.types import Array
 
@@ -95,7 +99,7 @@ def network_ocp(
         action_bounds=(-max_displacement, max_displacement),
         state_bounds=(np.hstack([-free[0], lower, -free[1]]), np.hstack([free[0], upper, free[1]])),
         schedule=schedule,
-        derivatives=dynamics.derivatives(n_psi),
+        derivatives=replace(dynamics.derivatives(n_psi), sweeps=partial(NetworkSweeps, dynamics)),
     )
 
 

@@ -16,8 +16,11 @@ from pathlib import Path
 
 import casadi as ca
 
-# No -ffast-math: NaN must stay NaN, so that it can be detected.
-_FLAGS = ("-O2", "-march=native", "-fPIC", "-shared")
+from kpirl_ocp.ocp.dense_kernel import with_dense_kernel
+
+# No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order. The two -fno flags only
+# promise that nobody reads errno or traps floating-point exceptions; with them loops become vector instructions.
+_FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 
 
 def compiled(function: ca.Function) -> ca.Function:
@@ -28,7 +31,7 @@ def compiled(function: ca.Function) -> ca.Function:
     generator = ca.CodeGenerator(f"{function.name()}.c")
     generator.add(function)
     try:
-        library = _library(compiler, function.name(), generator.dump())
+        library = _library(compiler, function.name(), with_dense_kernel(generator.dump()))
     except (OSError, subprocess.CalledProcessError) as error:
         _warn_slow(f"{compiler} could not compile {function.name()}: {error}")
         return function

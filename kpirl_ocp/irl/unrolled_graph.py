@@ -1,0 +1,169 @@
+"""The unrolled gradient as one CasADi function: N gradient steps forward, then back with one Hessian product each.
+
+    forward   U_{k+1} = P(U_k - alpha dJ/dU(U_k; theta)),          theta = coefficients(psi, c)
+    back      w = P' v_{k+1},  v_k = w - alpha H_k w,              v_N = dL/dU
+              dL/dtheta = -alpha sum_k d(w . dJ/dU)/dtheta,        and dL/dpsi = (dtheta/dpsi)^T dL/dtheta once
+
+The steps are taken in segments. A segment keeps what the way back needs of every step, or, with checkpoints, is taken
+again from its first iterate, so that memory grows like sqrt(N).
+"""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+
+from kpirl_ocp.irl.loss import Loss
+from kpirl_ocp.ocp.gradient_descent import (
+    GradientDescent,
+    by_trajectory,
+    gradient_step,
+    inside,
+    repeat,
+    symbols,
+    symbols_like,
+    terminal_point,
+)
+from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.reduced_cost import Linearisation, ReducedCost
+from kpirl_ocp.ocp.stage_costs import Coefficients
+from kpirl_ocp.ocp.sweeps import Rollout
+
+_SEGMENT = 10  # steps in a segment, at least
+
+
+def unrolled_function(
+    problem: OCP, solver: GradientDescent, loss: Loss, last: int, checkpoint: bool, columns: int
+) -> ca.Function:
+    """(U_0, s0, psi, c, Z) -> loss, remainder, kink distance, cost of U_0, gradient, `terminal_point`, in one column.
+
+    For B demonstrations everything has B columns, but U_0 (n_u, B T) and Z (n_z, B (T+1)), demonstration by
+    demonstration.
+    """
+    reduced, (u, s0, psi, context) = ReducedCost(problem, columns), symbols(problem, columns)
+    observed = ca.MX.sym("Z", problem.n_observations, columns * (problem.horizon + 1))
+    theta = reduced.cost.coefficients(psi, context)
+    constants, step = (s0, psi, *theta), gradient_step(problem, solver, columns)
+    back = _step_back(problem, solver, step, columns)
+
+    iterate, walk = _regroup(u, problem.horizon), []
+    for length in _segments(solver.steps - last) + _segments(last):
+        start = iterate
+        iterate, values, *record = _segment(step, length)(start, *constants)
+        walk.append((length, start, values, record))
+    kinks = [_kink_distance(problem, solver, record[1], columns) for *_, record in walk]
+
+    at = reduced.linearise(s0, iterate, psi, theta)
+    value, slope, gradient = _loss_and_gradients(loss, reduced, at, psi, observed)
+    adjoint, by_theta = slope, []
+    for length, start, _, record in reversed(walk[len(_segments(solver.steps - last)) :]):
+        if checkpoint:
+            _, _, *record = _segment(step, length)(start, *constants)
+        adjoint, by_psi, *share = _segment_back(back, length)(adjoint, *record, psi, *theta)
+        gradient, by_theta = gradient + by_psi, [*by_theta, share]
+    totals = (sum(shares[1:], shares[0]) for shares in zip(*by_theta, strict=True))
+    gradient = gradient + _pull_back(reduced)(psi, context, *totals)
+
+    remainder = _norms(adjoint, columns) / ca.fmax(_norms(slope, columns), np.finfo(float).tiny)
+    kink = kinks[0]
+    for other in kinks[1:]:
+        kink = ca.fmin(kink, other)
+    initial = walk[0][2][:, :columns]
+    point = terminal_point(at, columns)
+    output = ca.vertcat(value, remainder, kink, initial, gradient, point)
+    return ca.Function("unrolled", [u, s0, psi, context, observed], [output])
+
+
+def _segments(steps: int) -> list[int]:
+    """Lengths that add up to `steps`, of about its square root."""
+    length = max(_SEGMENT, math.isqrt(steps))
+    return [length] * (steps // length) + ([steps % length] if steps % length else [])
+
+
+def _segment(step: ca.Function, length: int) -> ca.Function:
+    """(U, s0, psi, theta) -> U after `length` steps, their costs, and records of U and of the step's last outputs."""
+    u, *constants = step.mx_in()
+    iterates, values, *record = step.mapaccum(length)(u, *repeat(constants, length))
+    width = u.size2()
+    before = ca.horzcat(u, iterates[:, : (length - 1) * width])
+    return ca.Function("segment", [u, *constants], [iterates[:, (length - 1) * width :], values, before, *record])
+
+
+def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns: int) -> ca.Function:
+    """(v, record of a step, psi, theta) -> (dPhi/dU)^T v, (dPhi/dpsi)^T v, (dPhi/dtheta)^T v: one Hessian product."""
+    u, _, psi, *theta = step.mx_in()
+    _, _, free, states, memory, adjoint = symbols_like("record", step.mx_out())
+    v = ca.MX.sym("v", *u.shape)
+    moved = inside(problem, solver, free) * v
+    product = ReducedCost(problem, columns).hessian_product(
+        Rollout(states, u, memory), adjoint, psi, Coefficients(*theta), moved
+    )
+    shares = (-solver.step_size * x for x in (product.by_parameters, *product.by_coefficients))
+    outputs = [moved - solver.step_size * product.by_actions, *shares]
+    return ca.Function("step_back", [v, u, free, states, memory, adjoint, psi, *theta], outputs)
+
+
+def _segment_back(back: ca.Function, length: int) -> ca.Function:
+    """(v, records, psi, theta) -> v before the segment, and the sums of the other outputs of `back`."""
+    v, *records, psi, stages, final = back.mx_in()
+    wide = symbols_like("record", repeat(records, length))
+    pieces = [ca.horzsplit(array, array.size2() // length) for array in wide]
+    adjoint, shares = v, []
+    for record in zip(*map(reversed, pieces), strict=True):
+        adjoint, *share = back(adjoint, *record, psi, stages, final)
+        shares.append(share)
+    totals = [sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)]
+    return ca.Function("segment_back", [v, *wide, psi, stages, final], [adjoint, *totals])
+
+
+def _pull_back(reduced: ReducedCost) -> ca.Function:
+    """(psi, c, x) -> (dtheta/dpsi)^T x."""
+    _, _, psi, context = symbols(reduced.problem, reduced.columns)
+    theta = reduced.cost.coefficients(psi, context)
+    x = symbols_like("x", theta)
+    paired = ca.dot(theta.stages, x[0]) + ca.dot(theta.last, x[1])
+    return ca.Function("pull_back", [psi, context, *x], [ca.gradient(paired, psi)])
+
+
+def _loss_and_gradients(
+    loss: Loss, reduced: ReducedCost, at: Linearisation, psi: ca.MX, observed: ca.MX
+) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """L (1, B), dL/dU and, through the dynamics, dL/dpsi."""
+    columns, function = reduced.columns, loss(reduced.problem)
+    states, actions, seen = (ca.MX.sym("x", *function.size_in(i)) for i in range(3))
+    value = function(states, actions, seen)
+    outputs = [value, ca.gradient(value, states), ca.gradient(value, actions)]
+    slopes = ca.Function("slopes", [states, actions, seen], outputs).map(columns)
+    value, by_states, by_actions = slopes(
+        _regroup(at.rollout.states, columns), _regroup(at.rollout.actions, columns), observed
+    )
+    horizon = reduced.problem.horizon
+    adjoint = reduced.sweeps.adjoint(at.rollout, psi, _regroup(by_states, horizon + 1))
+    return value, _regroup(by_actions, horizon) + adjoint.by_actions, adjoint.by_parameters
+
+
+def _kink_distance(problem: OCP, solver: GradientDescent, free: ca.MX, columns: int) -> ca.MX:
+    """Smallest distances (1, B) of unprojected iterates to an action bound."""
+    finite = [(bound, np.flatnonzero(np.isfinite(bound))) for bound in problem.action_bounds]
+    distances = [
+        by_trajectory(ca.fabs(free[rows.tolist(), :] - ca.repmat(ca.DM(bound[rows]), 1, free.size2())), columns)
+        for bound, rows in finite
+        if solver.project and len(rows)
+    ]
+    if not distances:
+        return ca.MX(ca.DM.inf(1, columns))
+    return ca.horzcat(*(ca.mmin(column) for column in ca.horzsplit(ca.vertcat(*distances))))
+
+
+def _norms(array: ca.MX, columns: int) -> ca.MX:
+    """The norm of each trajectory's share (1, B)."""
+    return ca.horzcat(*(ca.norm_2(column) for column in ca.horzsplit(by_trajectory(array, columns))))
+
+
+def _regroup(array: ca.MX, period: int) -> ca.MX:
+    """Columns 0, p, 2p .., then 1, p+1, .. : from an order by time to one by trajectory, and back."""
+    if period in (1, array.size2()):
+        return array
+    return ca.horzcat(*(array[:, first::period] for first in range(period)))
