@@ -11,6 +11,7 @@ again from its first iterate, so that memory grows like sqrt(N).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
@@ -29,9 +30,9 @@ from kpirl_ocp.ocp.gradient_descent import (
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.reduced_cost import Linearisation, ReducedCost
 from kpirl_ocp.ocp.stage_costs import Coefficients
-from kpirl_ocp.ocp.sweeps import Rollout
+from kpirl_ocp.ocp.sweeps import Rollout, reverse, sum_blocks
 
-_SEGMENT = 10  # steps in a segment, at least
+_SINGLE = 32  # so many steps, and no more, are written out one by one
 
 
 def unrolled_function(
@@ -51,17 +52,18 @@ def unrolled_function(
     iterate, walk = _regroup(u, problem.horizon), []
     for length in _segments(solver.steps - last) + _segments(last):
         start = iterate
-        iterate, values, *record = _segment(step, length)(start, *constants)
+        iterate, values, record = _take(step, length, start, constants)
         walk.append((length, start, values, record))
     kinks = [_kink_distance(problem, solver, record[1], columns) for *_, record in walk]
 
     at = reduced.linearise(s0, iterate, psi, theta)
     value, slope, gradient = _loss_and_gradients(loss, reduced, at, psi, observed)
-    adjoint, by_theta = slope, []
+    adjoint = slope
+    by_theta: list[list[ca.MX]] = []
     for length, start, _, record in reversed(walk[len(_segments(solver.steps - last)) :]):
         if checkpoint:
-            _, _, *record = _segment(step, length)(start, *constants)
-        adjoint, by_psi, *share = _segment_back(back, length)(adjoint, *record, psi, *theta)
+            _, _, record = _take(step, length, start, constants)
+        adjoint, (by_psi, *share) = _take_back(back, length, adjoint, record, (psi, *theta))
         gradient, by_theta = gradient + by_psi, [*by_theta, share]
     totals = (sum(shares[1:], shares[0]) for shares in zip(*by_theta, strict=True))
     gradient = gradient + _pull_back(reduced)(psi, context, *totals)
@@ -77,18 +79,21 @@ def unrolled_function(
 
 
 def _segments(steps: int) -> list[int]:
-    """Lengths that add up to `steps`, of about its square root."""
-    length = max(_SEGMENT, math.isqrt(steps))
+    """Lengths that add up to `steps`: single steps if they are few, else about its square root."""
+    length = 1 if steps <= _SINGLE else math.isqrt(steps)
     return [length] * (steps // length) + ([steps % length] if steps % length else [])
 
 
-def _segment(step: ca.Function, length: int) -> ca.Function:
-    """(U, s0, psi, theta) -> U after `length` steps, their costs, and records of U and of the step's last outputs."""
-    u, *constants = step.mx_in()
+def _take(
+    step: ca.Function, length: int, u: ca.MX, constants: Sequence[ca.MX]
+) -> tuple[ca.MX, ca.MX, list[ca.MX]]:
+    """U after `length` steps, their costs, and for every step the record that the way back needs."""
     iterates, values, *record = step.mapaccum(length)(u, *repeat(constants, length))
+    if length == 1:
+        return iterates, values, [u, *record]
     width = u.size2()
     before = ca.horzcat(u, iterates[:, : (length - 1) * width])
-    return ca.Function("segment", [u, *constants], [iterates[:, (length - 1) * width :], values, before, *record])
+    return iterates[:, (length - 1) * width :], values, [before, *record]
 
 
 def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns: int) -> ca.Function:
@@ -105,17 +110,13 @@ def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns
     return ca.Function("step_back", [v, u, free, states, memory, adjoint, psi, *theta], outputs)
 
 
-def _segment_back(back: ca.Function, length: int) -> ca.Function:
-    """(v, records, psi, theta) -> v before the segment, and the sums of the other outputs of `back`."""
-    v, *records, psi, stages, final = back.mx_in()
-    wide = symbols_like("record", repeat(records, length))
-    pieces = [ca.horzsplit(array, array.size2() // length) for array in wide]
-    adjoint, shares = v, []
-    for record in zip(*map(reversed, pieces), strict=True):
-        adjoint, *share = back(adjoint, *record, psi, stages, final)
-        shares.append(share)
-    totals = [sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)]
-    return ca.Function("segment_back", [v, *wide, psi, stages, final], [adjoint, *totals])
+def _take_back(
+    back: ca.Function, length: int, v: ca.MX, record: Sequence[ca.MX], constants: Sequence[ca.MX]
+) -> tuple[ca.MX, list[ca.MX]]:
+    """v before the segment, and the sums of the other outputs of `back`."""
+    pieces = [reverse(array, array.size2() // length) for array in record]
+    adjoints, *shares = back.mapaccum(length)(v, *pieces, *repeat(constants, length))
+    return adjoints[:, -v.size2() :], [sum_blocks(share, share.size2() // length) for share in shares]
 
 
 def _pull_back(reduced: ReducedCost) -> ca.Function:
@@ -146,7 +147,8 @@ def _loss_and_gradients(
 
 def _kink_distance(problem: OCP, solver: GradientDescent, free: ca.MX, columns: int) -> ca.MX:
     """Smallest distances (1, B) of unprojected iterates to an action bound."""
-    finite = [(bound, np.flatnonzero(np.isfinite(bound))) for bound in problem.action_bounds]
+    bounds = (np.asarray(bound, float) for bound in problem.action_bounds)
+    finite = [(bound, np.flatnonzero(np.isfinite(bound))) for bound in bounds]
     distances = [
         by_trajectory(ca.fabs(free[rows.tolist(), :] - ca.repmat(ca.DM(bound[rows]), 1, free.size2())), columns)
         for bound, rows in finite
