@@ -84,9 +84,7 @@ def _segments(steps: int) -> list[int]:
     return [length] * (steps // length) + ([steps % length] if steps % length else [])
 
 
-def _take(
-    step: ca.Function, length: int, u: ca.MX, constants: Sequence[ca.MX]
-) -> tuple[ca.MX, ca.MX, list[ca.MX]]:
+def _take(step: ca.Function, length: int, u: ca.MX, constants: Sequence[ca.MX]) -> tuple[ca.MX, ca.MX, list[ca.MX]]:
     """U after `length` steps, their costs, and for every step the record that the way back needs."""
     iterates, values, *record = step.mapaccum(length)(u, *repeat(constants, length))
     if length == 1:
@@ -98,16 +96,17 @@ def _take(
 
 def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns: int) -> ca.Function:
     """(v, record of a step, psi, theta) -> (dPhi/dU)^T v, (dPhi/dpsi)^T v, (dPhi/dtheta)^T v: one Hessian product."""
-    u, _, psi, *theta = step.mx_in()
-    _, _, free, states, memory, adjoint = symbols_like("record", step.mx_out())
+    u, s0, psi, *theta = step.mx_in()
+    reduced, coefficients = ReducedCost(problem, columns), Coefficients(*theta)
+    remembered = len(reduced.sweeps.rollout(s0, u, psi).memory)
+    free, states, *record = symbols_like("record", step.mx_out()[2:])
+    at = Rollout(states, u, tuple(record[:remembered]))
     v = ca.MX.sym("v", *u.shape)
     moved = inside(problem, solver, free) * v
-    product = ReducedCost(problem, columns).hessian_product(
-        Rollout(states, u, memory), adjoint, psi, Coefficients(*theta), moved
-    )
+    product = reduced.hessian_product(at, tuple(record[remembered:]), psi, coefficients, moved)
     shares = (-solver.step_size * x for x in (product.by_parameters, *product.by_coefficients))
     outputs = [moved - solver.step_size * product.by_actions, *shares]
-    return ca.Function("step_back", [v, u, free, states, memory, adjoint, psi, *theta], outputs)
+    return ca.Function("step_back", [v, u, free, states, *record, psi, *theta], outputs)
 
 
 def _take_back(

@@ -20,7 +20,7 @@ class Slopes:
 
 
 def relu(a: ca.MX) -> tuple[ca.MX, Slopes]:
-    """max(a, 0); the slope at the kink is zero, as in torch."""
+    """max(a, 0); the slope at the kink is zero, as in torch. One product: an overflow to -infinity shows as NaN."""
     slope = a > 0
     return slope * a, Slopes(slope, None)
 

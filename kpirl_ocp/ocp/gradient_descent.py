@@ -71,13 +71,21 @@ def check_constraints(problem: OCP, project: bool) -> None:
 def gradient_step(problem: OCP, solver: GradientDescent, columns: int = 1) -> ca.Function:
     """(U (n_u, T B), s0, psi, theta) -> next U, J (1, B), U before the projection, and what `hessian_product` needs.
 
-    theta stands for the two arrays of `Coefficients`, the last for states, memory of the rollout and of its adjoint.
+    theta stands for the two arrays of `Coefficients`, the last for states and what
+    rollout and adjoint remember.
     """
     reduced, (u, s0, psi, context) = ReducedCost(problem, columns), symbols(problem, columns)
     theta = symbols_like("theta", reduced.cost.coefficients(psi, context))
     at = reduced.linearise(s0, u, psi, Coefficients(*theta))
     free = u - solver.step_size * at.gradient
-    outputs = [project(problem, solver, free), at.value, free, at.rollout.states, at.rollout.memory, at.adjoint.memory]
+    outputs = [
+        project(problem, solver, free),
+        at.value,
+        free,
+        at.rollout.states,
+        *at.rollout.memory,
+        *at.adjoint.memory,
+    ]
     return ca.Function("gradient_step", [u, s0, psi, *theta], outputs)
 
 

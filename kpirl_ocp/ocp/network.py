@@ -196,22 +196,18 @@ def curved(slopes: Sequence[Slopes]) -> bool:
     return any(slope.second is not None for slope in slopes)
 
 
-def stack(slopes: Sequence[Slopes], columns: int) -> ca.MX:
-    """All slopes in one array (n_m, B), to be kept for later; `unstack` takes them apart."""
-    parts = [part for slope in slopes for part in (slope.first, slope.second) if part is not None]
-    return ca.vertcat(ca.MX(0, columns), *parts)
+def arrays(slopes: Sequence[Slopes]) -> list[ca.MX]:
+    """The slopes as a plain list, to be kept for later; `from_arrays` is the way back."""
+    return [part for slope in slopes for part in (slope.first, slope.second) if part is not None]
 
 
-def unstack(mlp: MLP, stacked: ca.MX) -> list[Slopes]:
-    """The slopes of `stack`."""
-    slopes, used = [], 0
-    for weight, name in zip(mlp.weights, mlp.activations, strict=True):
-        pattern = ACTIVATIONS[name](ca.MX.sym("a"))[1]
-        parts: list[ca.MX | None] = []
-        for present in (pattern.first is not None, pattern.second is not None):
-            parts.append(stacked[used : used + len(weight), :] if present else None)
-            used += len(weight) if present else 0
-        slopes.append(Slopes(*parts))
+def from_arrays(mlp: MLP, kept: Sequence[ca.MX]) -> list[Slopes]:
+    """The slopes that `arrays` listed."""
+    left, slopes = iter(kept), []
+    for name in mlp.activations:
+        _, pattern = ACTIVATIONS[name](ca.MX.sym("a"))
+        first, second = (None if part is None else next(left) for part in (pattern.first, pattern.second))
+        slopes.append(Slopes(first, second))
     return slopes
 
 

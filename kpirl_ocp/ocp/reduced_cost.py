@@ -16,7 +16,7 @@ import casadi as ca
 
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.stage_costs import Coefficients, TrajectoryCost
-from kpirl_ocp.ocp.sweeps import Adjoint, Rollout, StageSweeps, Sweeps
+from kpirl_ocp.ocp.sweeps import Adjoint, Memory, Rollout, StageSweeps, Sweeps
 
 
 class Linearisation(NamedTuple):
@@ -62,7 +62,7 @@ class ReducedCost:
         adjoint = self.sweeps.adjoint(rollout, psi, by_states)
         return Linearisation(value, by_actions + adjoint.by_actions, rollout, adjoint)
 
-    def hessian_product(self, rollout: Rollout, memory: ca.MX, psi: ca.MX, theta: Coefficients, dU: ca.MX) -> Product:
+    def hessian_product(self, rollout: Rollout, memory: Memory, psi: ca.MX, theta: Coefficients, dU: ca.MX) -> Product:
         """For a direction dU (n_u, T B), at a rollout and with the memory of its adjoint."""
         dS = self.sweeps.tangent(rollout, psi, dU)
         by_states, by_actions, by_theta = self.cost.second(rollout.states, rollout.actions, theta, dS, dU)

@@ -11,6 +11,7 @@ trajectories run side by side: the columns of an array (n, T B) are ordered by t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -19,25 +20,28 @@ import casadi as ca
 
 from kpirl_ocp.ocp.derivatives import DynamicsDerivatives
 
+Memory = tuple[ca.MX, ...]
+"""Whatever a pass wants to hand to a later one: arrays (n, T B)."""
+
 
 class Rollout(NamedTuple):
-    """States (n_s, (T+1) B), actions (n_u, T B), and whatever else the sweeps want to remember, (n_m, T B)."""
+    """States (n_s, (T+1) B), actions (n_u, T B), and what the derivatives want to know beside them."""
 
     states: ca.MX
     actions: ca.MX
-    memory: ca.MX
+    memory: Memory
 
 
 class Adjoint(NamedTuple):
     """Costates lambda_1 .. lambda_T (n_s, T B), f_u^T lambda (n_u, T B) and sum_t f_psi^T lambda (n_psi, B).
 
-    memory: (n, T B), what the adjoint's tangent wants to know of the costates.
+    memory: what the adjoint's tangent wants to know of the costates.
     """
 
     costates: ca.MX
     by_actions: ca.MX
     by_parameters: ca.MX
-    memory: ca.MX
+    memory: Memory
 
 
 class Sweeps(Protocol):
@@ -55,7 +59,7 @@ class Sweeps(Protocol):
         """For q_0 .. q_T as Q (n_s, (T+1) B)."""
         ...
 
-    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: ca.MX, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
+    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
         """How `adjoint` changes along (dS, dU), when its q changes by Q; `memory` is that of `adjoint`."""
         ...
 
@@ -71,35 +75,32 @@ class StageSweeps:
 
     def rollout(self, s0: ca.MX, actions: ca.MX, psi: ca.MX) -> Rollout:
         """See `Sweeps`."""
-        states = self._along(self.dynamics)(s0, actions, self._repeat(psi))
-        return Rollout(ca.horzcat(s0, states), actions, ca.MX(0, actions.size2()))
+        (states,) = self._along(self.dynamics, s0, actions, self._repeat(psi))
+        return Rollout(ca.horzcat(s0, states), actions, ())
 
     def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
         """See `Sweeps`."""
         zero = ca.MX.zeros(self.dynamics.size1_in(0), self.columns)
-        return ca.horzcat(zero, self._along(self._tangent)(zero, *self._points(at), self._repeat(psi), dU))
+        return ca.horzcat(zero, *self._along(self._tangent, zero, *self._points(at), self._repeat(psi), dU))
 
     def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
         """See `Sweeps`."""
         return self._backwards(self._adjoint, Q, *self._points(at), self._repeat(psi))
 
-    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: ca.MX, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
+    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
         """See `Sweeps`."""
         direction = dS[:, : dU.size2()], dU
-        return self._backwards(self._adjoint_tangent, Q, *self._points(at), self._repeat(psi), memory, *direction)
+        return self._backwards(self._adjoint_tangent, Q, *self._points(at), self._repeat(psi), *memory, *direction)
 
-    def _along(self, stage: ca.Function) -> ca.Function:
-        """The stage for all columns, T times in a row."""
-        return stage.map(self.columns).mapaccum(self.horizon)
+    def _along(self, stage: ca.Function, start: ca.MX, *inputs: ca.MX, backwards: bool = False) -> list[ca.MX]:
+        return along(stage.map(self.columns), start, inputs, self.horizon, backwards)
 
     def _backwards(self, stage: ca.Function, Q: ca.MX, *inputs: ca.MX) -> Adjoint:
         """Accumulate a stage (lambda, q, ...) -> lambda, f_u^T lambda, f_psi^T lambda from the last to the first."""
         B = self.columns
-        final, earlier = Q[:, -B:], Q[:, :-B]
-        swept = self._along(stage)(final, *(reverse(array, B) for array in (earlier, *inputs)))
-        costates, by_actions, by_parameters = (reverse(array, B) for array in swept)
-        costates = ca.horzcat(costates[:, B:], final)
-        return Adjoint(costates, by_actions, sum_blocks(by_parameters, B), memory=costates)
+        swept, by_actions, by_parameters = self._along(stage, Q[:, -B:], Q[:, :-B], *inputs, backwards=True)
+        costates = ca.horzcat(swept[:, B:], Q[:, -B:])
+        return Adjoint(costates, by_actions, sum_blocks(by_parameters, B), memory=(costates,))
 
     def _points(self, at: Rollout) -> tuple[ca.MX, ca.MX]:
         return at.states[:, : at.actions.size2()], at.actions
@@ -145,3 +146,18 @@ def sum_blocks(array: ca.MX, width: int) -> ca.MX:
     """The sum of all blocks of `width` columns."""
     rows = array.size1()
     return ca.reshape(ca.sum2(ca.reshape(array, rows * width, array.size2() // width)), rows, width)
+
+
+def along(
+    stage: ca.Function, start: ca.MX, inputs: Sequence[ca.MX], steps: int, backwards: bool = False
+) -> list[ca.MX]:
+    """Carry the first output of a stage to its first input, from the first to the last block or from the last on.
+
+    Inputs and outputs (n, T B) are ordered by time either way. What `mapaccum` does, but with a single copy.
+    """
+    blocks = [ca.horzsplit(array, array.size2() // steps) for array in inputs]
+    rows: list[list[ca.MX]] = [[] for _ in range(steps)]
+    for t in reversed(range(steps)) if backwards else range(steps):
+        outputs = stage.call([start, *(block[t] for block in blocks)])
+        start, rows[t] = outputs[0], outputs
+    return [ca.horzcat(*column) for column in zip(*rows, strict=True)]

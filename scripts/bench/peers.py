@@ -1,14 +1,15 @@
 """The unrolled hypergradient of the paper's network problem in torch and JAX, for comparison with this package.
 
-Every function returns (loss, gradient) as a call without arguments, ready to be timed; torch and JAX are imported inside.
-The problem: z_{t+1} = z_t + MLP(z, theta, theta_dot, u), N gradient steps on the actions of
-sum_t W_t . (z_t - z_goal)^2, then the squared distance to the demonstration, differentiated with respect to W (T, n_z).
+Every function returns a call without arguments that gives (loss, gradient), ready to be timed. Torch and JAX are
+imported inside. The problem: z_{t+1} = z_t + MLP(z, theta, theta_dot, u), N gradient steps on the actions of
+sum_t W_t . (z_t - z_goal)^2, then the squared distance to the demonstration, differentiated by W (T, n_z).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Data:
 def paper_size(demonstrations: int = 1, horizon: int = 25, steps: int = 20, seed: int = 0) -> Data:
     """The paper's sizes with random numbers: 29-100-25-8, T = 25, N = 20."""
     rng, widths = np.random.default_rng(seed), (29, 100, 25, 8)
-    pairs = list(zip(widths, widths[1:], strict=False))
+    pairs = list(pairwise(widths))
     z = rng.uniform(-0.5, 0.5, (demonstrations, 8))
     drift = np.cumsum(0.02 * rng.normal(size=(demonstrations, horizon + 1, 8)), axis=1)
     observed = z[:, None] + drift - drift[:, :1]

@@ -1,15 +1,11 @@
-"""z += x y for dense matrices in generated C, written so that a compiler turns it into vector instructions.
+"""Dense products in generated C, written so that a compiler turns them into vector instructions.
 
-CasADi's own `casadi_mtimes_dense` runs along rows and cannot be vectorised. This one keeps a tile of z, some vectors
-of rows times up to four columns, in registers while it walks along the columns of x. Every entry of z is still summed
-in the order of CasADi's loop, so results differ by nothing but fused multiply-adds.
+CasADi's own `casadi_mtimes_dense`, z += x y, runs along rows and cannot be vectorised. This one keeps a tile of z, some
+vectors of rows times up to five columns, in registers while it walks along the columns of x. Results differ by
+rounding alone; NaN and infinity go through as in any sum.
 """
 
 from __future__ import annotations
-
-import re
-
-_REFERENCE = re.compile(r"void casadi_mtimes_dense\(.*?\n\}\n", re.DOTALL)
 
 _KERNEL = r"""
 #if defined(__AVX512F__)
@@ -19,6 +15,7 @@ _KERNEL = r"""
 #define TILE_LANES 4
 #define TILE_VECTORS 2
 #endif
+#define UNROLL _Pragma("GCC unroll 8")
 /* Unaligned vectors of doubles; a compiler without that width splits them. */
 typedef casadi_real tile_vector __attribute__((vector_size(TILE_LANES * sizeof(casadi_real)), aligned(8), may_alias));
 
@@ -27,36 +24,28 @@ typedef casadi_real tile_vector __attribute__((vector_size(TILE_LANES * sizeof(c
 static inline __attribute__((always_inline)) void casadi_tile(const int vectors, const int columns, const int chains,
     const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x, const casadi_real* y, casadi_real* z,
     casadi_int first, casadi_int end) {
-  tile_vector sum[4][8];
+  tile_vector sum[5][8];
   casadi_int row[8], k = 0;
-  int v, c;
-#pragma GCC unroll 8
-  for (v = 0; v < vectors; ++v) row[v] = v < vectors - 1 ? first + v * TILE_LANES : end - TILE_LANES;
-#pragma GCC unroll 8
-  for (c = 0; c < columns * chains; ++c)
-#pragma GCC unroll 8
-    for (v = 0; v < vectors; ++v)
+  int v, c, p;
+  UNROLL for (v = 0; v < vectors; ++v) row[v] = v < vectors - 1 ? first + v * TILE_LANES : end - TILE_LANES;
+  UNROLL for (c = 0; c < columns * chains; ++c)
+    UNROLL for (v = 0; v < vectors; ++v)
       sum[c][v] = c < columns ? *(const tile_vector*) (z + c * nrow_x + row[v]) : (tile_vector) {0};
   for (; k + chains <= ncol_x; k += chains)
-#pragma GCC unroll 8
-    for (c = 0; c < columns * chains; ++c)
-#pragma GCC unroll 8
-      for (v = 0; v < vectors; ++v)
-        sum[c][v] += *(const tile_vector*) (x + (k + c / columns) * nrow_x + row[v])
-                     * y[k + c / columns + c % columns * ncol_x];
+    UNROLL for (p = 0; p < chains; ++p)
+      UNROLL for (v = 0; v < vectors; ++v) {
+        const tile_vector a = *(const tile_vector*) (x + (k + p) * nrow_x + row[v]);
+        UNROLL for (c = 0; c < columns; ++c) sum[p * columns + c][v] += a * y[k + p + c * ncol_x];
+      }
   for (; k < ncol_x; ++k)
-#pragma GCC unroll 8
-    for (c = 0; c < columns; ++c)
-#pragma GCC unroll 8
-      for (v = 0; v < vectors; ++v) sum[c][v] += *(const tile_vector*) (x + k * nrow_x + row[v]) * y[k + c * ncol_x];
-#pragma GCC unroll 8
-  for (c = columns; c < columns * chains; ++c)
-#pragma GCC unroll 8
-    for (v = 0; v < vectors; ++v) sum[c % columns][v] += sum[c][v];
-#pragma GCC unroll 8
-  for (c = 0; c < columns; ++c)
-#pragma GCC unroll 8
-    for (v = 0; v < vectors; ++v) *(tile_vector*) (z + c * nrow_x + row[v]) = sum[c][v];
+    UNROLL for (v = 0; v < vectors; ++v) {
+      const tile_vector a = *(const tile_vector*) (x + k * nrow_x + row[v]);
+      UNROLL for (c = 0; c < columns; ++c) sum[c][v] += a * y[k + c * ncol_x];
+    }
+  UNROLL for (c = columns; c < columns * chains; ++c)
+    UNROLL for (v = 0; v < vectors; ++v) sum[c % columns][v] += sum[c][v];
+  UNROLL for (c = 0; c < columns; ++c)
+    UNROLL for (v = 0; v < vectors; ++v) *(tile_vector*) (z + c * nrow_x + row[v]) = sum[c][v];
 }
 
 /* all rows of `columns` columns, in tiles of nearly equal height */
@@ -79,9 +68,14 @@ static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_
     const casadi_real* y, casadi_int ncol_y, casadi_real* z, casadi_int tr) {
   casadi_int i = 0, j, k;
   if (!tr && nrow_x >= TILE_LANES) {
-    for (; i + 4 <= ncol_y; i += 4) casadi_panel(4, TILE_VECTORS, x, nrow_x, ncol_x, y + i * ncol_x, z + i * nrow_x);
-    for (; i + 2 <= ncol_y; i += 2) casadi_panel(2, TILE_VECTORS * 2, x, nrow_x, ncol_x, y + i * ncol_x, z + i * nrow_x);
-    for (; i < ncol_y; ++i) casadi_panel(1, TILE_VECTORS * 2, x, nrow_x, ncol_x, y + i * ncol_x, z + i * nrow_x);
+#define PANELS(n, most) for (; i + n <= ncol_y; i += n) \
+      casadi_panel(n, most, x, nrow_x, ncol_x, y + i * ncol_x, z + i * nrow_x);
+    PANELS(5, TILE_VECTORS)
+    PANELS(4, TILE_VECTORS)
+    PANELS(3, TILE_VECTORS)
+    PANELS(2, TILE_VECTORS * 2)
+    PANELS(1, TILE_VECTORS * 2)
+#undef PANELS
   } else if (!tr) {
     for (; i < ncol_y; ++i)
       for (k = 0; k < ncol_x; ++k)
@@ -94,16 +88,21 @@ static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_
 }
 """
 
-
-def with_dense_kernel(source: str) -> str:
-    """Generated C with its dense matrix product replaced; unchanged if it has none."""
-    source = re.sub(r"void casadi_copy\(.*?\n\}\n", lambda _: _COPY, source, flags=re.DOTALL)
-    return _REFERENCE.sub(lambda _: _KERNEL.lstrip(), source)
-
-
 _COPY = r"""#include <string.h>
 static inline void casadi_copy(const casadi_real* x, casadi_int n, casadi_real* y) {
   if (!y) return;
   if (x) memmove(y, x, n * sizeof(casadi_real)); else memset(y, 0, n * sizeof(casadi_real));
 }
 """
+
+_BODIES = {"casadi_mtimes_dense": _KERNEL.lstrip(), "casadi_copy": _COPY}
+
+
+def with_fast_kernels(source: str) -> str:
+    """Generated C with its dense matrix product and its copies replaced; what is not in it is not added."""
+    for name, body in _BODIES.items():
+        start = source.find(f"void {name}(")
+        if start >= 0:
+            end = source.index("\n}\n", start) + len("\n}\n")
+            source = source[:start] + body + source[end:]
+    return source
