@@ -1,6 +1,7 @@
 """Learned dynamics on disk: the numbers of torch, and every defect named with file and key."""
 
 import json
+import sys
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +10,7 @@ from safetensors.numpy import load_file, save_file
 
 from kpirl_ocp.errors import ModelError
 from kpirl_ocp.ocp.network_files import load_dynamics
+from kpirl_ocp.ocp.network_onnx import load_onnx
 
 WIDTHS = (8 + 3 * 3, 20, 10, 8)
 
@@ -155,3 +157,9 @@ def test_files_that_are_missing_or_garbled_are_named(path):
     path.write_text("[]")
     with pytest.raises(ModelError, match="must hold one JSON object"):
         load_dynamics(path)
+
+
+def test_without_the_onnx_package_the_error_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(ModelError, match="pip install onnx"):
+        load_onnx("network.onnx")
