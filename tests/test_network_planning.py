@@ -30,6 +30,8 @@ from kpirl_ocp import (
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl import unrolled
 from kpirl_ocp.irl.learning import Learner
+from kpirl_ocp.irl.loss import squared_distance
+from kpirl_ocp.irl.unrolled_graph import unrolled_function
 from kpirl_ocp.ocp import gradient_descent, native
 from kpirl_ocp.ocp.derivatives import DynamicsDerivatives
 from kpirl_ocp.ocp.keypoint_planning import network_ocp
@@ -223,6 +225,17 @@ def test_checkpoints_change_the_memory_and_not_the_gradient(steps):
     assert saving.loss == plain.loss
     truncated = Truncated(solver, steps)(problem, demonstration, psi)
     np.testing.assert_array_equal(truncated.gradient, plain.gradient)
+
+
+def test_memory_with_checkpoints_grows_like_the_square_root_of_the_steps():
+    problem = network_problem()
+
+    def work(steps, checkpoint):
+        solver = GradientDescent(steps, 0.02)
+        return unrolled_function(problem, solver, squared_distance, steps, checkpoint, columns=1).sz_w()
+
+    assert work(1600, checkpoint=True) < 2 * work(400, checkpoint=True)
+    assert work(1600, checkpoint=True) < 0.2 * work(1600, checkpoint=False)
 
 
 def test_implicit_gradient_with_a_smooth_network_is_that_of_finite_differences():

@@ -49,10 +49,14 @@ def unrolled_function(
     constants, step = (s0, psi, *theta), gradient_step(problem, solver, columns)
     back = _step_back(problem, solver, step, columns)
 
+    skipped, taken = _segments(solver.steps - last), _segments(last)
+    wide = {length: repeat(constants, length) for length in {*skipped, *taken}}
+    sweeps = {length: _segment_back(back, length) if length > 1 else back for length in set(taken)}
+
     iterate, walk = _regroup(u, problem.horizon), []
-    for length in _segments(solver.steps - last) + _segments(last):
+    for length in skipped + taken:
         start = iterate
-        iterate, values, record = _take(step, length, start, constants)
+        iterate, values, record = _take(step, length, start, wide[length])
         walk.append((length, start, values, record))
     kinks = [_kink_distance(problem, solver, record[1], columns) for *_, record in walk]
 
@@ -60,10 +64,10 @@ def unrolled_function(
     value, slope, gradient = _loss_and_gradients(loss, reduced, at, psi, observed)
     adjoint = slope
     by_theta: list[list[ca.MX]] = []
-    for length, start, _, record in reversed(walk[len(_segments(solver.steps - last)) :]):
+    for length, start, _, record in reversed(walk[len(skipped) :]):
         if checkpoint:
-            _, _, record = _take(step, length, start, constants)
-        adjoint, (by_psi, *share) = _take_back(back, length, adjoint, record, (psi, *theta))
+            _, _, record = _take(step, length, start, wide[length])
+        adjoint, by_psi, *share = sweeps[length](adjoint, *record, *wide[length][1:])
         gradient, by_theta = gradient + by_psi, [*by_theta, share]
     totals = (sum(shares[1:], shares[0]) for shares in zip(*by_theta, strict=True))
     gradient = gradient + _pull_back(reduced)(psi, context, *totals)
@@ -85,8 +89,11 @@ def _segments(steps: int) -> list[int]:
 
 
 def _take(step: ca.Function, length: int, u: ca.MX, constants: Sequence[ca.MX]) -> tuple[ca.MX, ca.MX, list[ca.MX]]:
-    """U after `length` steps, their costs, and for every step the record that the way back needs."""
-    iterates, values, *record = step.mapaccum(length)(u, *repeat(constants, length))
+    """U after `length` steps, their costs, and for every step the record that the way back needs.
+
+    constants: s0, psi and theta, side by side for every step.
+    """
+    iterates, values, *record = step.mapaccum(length)(u, *constants)
     if length == 1:
         return iterates, values, [u, *record]
     width = u.size2()
@@ -109,13 +116,16 @@ def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns
     return ca.Function("step_back", [v, u, free, states, *record, psi, *theta], outputs)
 
 
-def _take_back(
-    back: ca.Function, length: int, v: ca.MX, record: Sequence[ca.MX], constants: Sequence[ca.MX]
-) -> tuple[ca.MX, list[ca.MX]]:
-    """v before the segment, and the sums of the other outputs of `back`."""
-    pieces = [reverse(array, array.size2() // length) for array in record]
-    adjoints, *shares = back.mapaccum(length)(v, *pieces, *repeat(constants, length))
-    return adjoints[:, -v.size2() :], [sum_blocks(share, share.size2() // length) for share in shares]
+def _segment_back(back: ca.Function, length: int) -> ca.Function:
+    """`back` for a segment: records and constants side by side -> v before it, and the sums of the other outputs.
+
+    A function of its own, so that what is summed is not kept for all segments.
+    """
+    v, *wide = symbols_like("x", (back.mx_in(0), *repeat(back.mx_in()[1:], length)))
+    pieces = [reverse(array, array.size2() // length) for array in wide]
+    adjoints, *shares = back.mapaccum(length)(v, *pieces)
+    sums = [sum_blocks(share, share.size2() // length) for share in shares]
+    return ca.Function("segment_back", [v, *wide], [adjoints[:, -v.size2() :], *sums])
 
 
 def _pull_back(reduced: ReducedCost) -> ca.Function:
