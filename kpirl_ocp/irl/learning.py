@@ -19,6 +19,7 @@ from tqdm import tqdm
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradient import Hypergradient
 from kpirl_ocp.irl.optimisers import Adam, Optimiser, Point
+from kpirl_ocp.irl.unrolled import Unrolled
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.types import Array, Demonstration
 
@@ -47,7 +48,10 @@ class Learner:
 
     def evaluate(self, psi: Array) -> Point:
         """Mean loss and gradient over the demonstrations."""
-        results = [self.hypergradient(self.problem, demonstration, psi) for demonstration in self.demonstrations]
+        if isinstance(self.hypergradient, Unrolled):
+            results = self.hypergradient.together(self.problem, self.demonstrations, psi)
+        else:
+            results = [self.hypergradient(self.problem, demonstration, psi) for demonstration in self.demonstrations]
         return Point(
             psi=psi,
             loss=float(np.mean([result.loss for result in results])),

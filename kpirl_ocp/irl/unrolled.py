@@ -10,6 +10,7 @@ implicit gradient (Shaban et al., Truncated Back-propagation for Bilevel Optimiz
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -28,15 +29,8 @@ from kpirl_ocp.irl.hypergradient import (
     seen,
 )
 from kpirl_ocp.irl.loss import Loss, squared_distance
-from kpirl_ocp.ocp.gradient_descent import (
-    GradientDescent,
-    as_columns,
-    check_constraints,
-    finish,
-    gradient_step,
-    symbols,
-    terminal_point,
-)
+from kpirl_ocp.irl.unrolled_graph import unrolled_function
+from kpirl_ocp.ocp.gradient_descent import GradientDescent, check_constraints, finish
 from kpirl_ocp.ocp.native import compiled
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.solver import Guess, guess_actions
@@ -72,11 +66,14 @@ class Unrolled:
     solver: the gradient descent to unroll; no other solver can be.
     loss: IRL loss.
     policy: "raise" or "flag" when the gradient is not certified (NaN, or an iterate on the kink of the projection).
+    checkpoint: remember every sqrt(N)-th iterate only and take the steps between again: memory O(sqrt N), and one more
+        forward pass.
     """
 
     solver: GradientDescent
     loss: Loss = squared_distance
     policy: Policy = "raise"
+    checkpoint: bool = False
 
     def __post_init__(self) -> None:
         _check(self.solver, self.policy)
@@ -85,8 +82,15 @@ class Unrolled:
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
         """See `Hypergradient`."""
-        result = sweep(problem, self.solver, self.loss, self.solver.steps, demonstration, psi, guess)
-        return enforce(self.policy, result)
+        return self.together(problem, [demonstration], psi, guess)[0]
+
+    def together(
+        self, problem: OCP, demonstrations: Sequence[Demonstration], psi: ArrayLike, guess: Guess = None
+    ) -> list[HypergradientResult]:
+        """The same for several demonstrations in one call, with matrix products where one has matrix times vector."""
+        steps = self.solver.steps
+        results = sweep(problem, self.solver, self.loss, steps, demonstrations, psi, guess, self.checkpoint)
+        return [enforce(self.policy, result) for result in results]
 
 
 @dataclass(frozen=True)
@@ -111,8 +115,8 @@ class Truncated:
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
         """See `Hypergradient`."""
-        result = sweep(problem, self.solver, self.loss, self.last, demonstration, psi, guess)
-        return enforce(self.policy, result)
+        results = sweep(problem, self.solver, self.loss, self.last, [demonstration], psi, guess)
+        return enforce(self.policy, results[0])
 
 
 def _check(solver: GradientDescent, policy: str) -> None:
@@ -127,18 +131,26 @@ def sweep(
     solver: GradientDescent,
     loss: Loss,
     last: int,
-    demonstration: Demonstration,
+    demonstrations: Sequence[Demonstration],
     psi: ArrayLike,
-    guess: Guess,
-) -> HypergradientResult:
-    """Descend N steps, then accumulate the gradient back through the last ones."""
+    guess: Guess = None,
+    checkpoint: bool = False,
+) -> list[HypergradientResult]:
+    """Descend N steps, then accumulate the gradient back through the last ones; demonstrations side by side."""
     check_constraints(problem, solver.project)
-    s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
-    start = guess_actions(problem, guess).ravel()
-    function = _function(problem, solver, loss, last)
-    output = np.array(function(start, s0, psi, context, seen(problem, demonstration))).ravel()
+    inputs = [problem.inputs(demonstration.s0, psi, demonstration.context) for demonstration in demonstrations]
+    starts, psis, contexts = (np.column_stack(columns) for columns in zip(*inputs, strict=True))
+    actions = np.tile(guess_actions(problem, guess).T, len(inputs))
+    observed = np.hstack([seen(problem, demonstration) for demonstration in demonstrations])
+    function = _function(problem, solver, loss, last, checkpoint, len(inputs))
+    outputs = np.array(function(actions, starts, psis, contexts, observed))
+    return [_result(problem, solver, last, column) for column in outputs.T]
+
+
+def _result(problem: OCP, solver: GradientDescent, last: int, output: Array) -> HypergradientResult:
+    """From one column of `unrolled_function`."""
     value, remainder, kink, initial = output[:4].tolist()
-    gradient, point = np.split(output[4:], [len(psi)])
+    gradient, point = np.split(output[4:], [problem.n_parameters])
     solution = finish(problem, solver, initial, point)
     certificate = UnrolledCertificate(
         solution=solution,
@@ -165,51 +177,7 @@ def _failures(
 
 
 @lru_cache(maxsize=64)
-def _function(problem: OCP, solver: GradientDescent, loss: Loss, last: int) -> ca.Function:
-    """(u_0, s0, psi, c, Z) -> one vector: loss, remainder, kink distance, initial cost, gradient, `terminal_point`."""
-    u, s0, psi, context = symbols(problem)
-    observed = ca.MX.sym("Z", problem.n_observations, problem.horizon + 1)
-    step, adjoint = gradient_step(problem, solver), _adjoint_step(problem, solver)
-
-    def repeat(count: int) -> list[ca.MX]:
-        return [ca.repmat(value, 1, count) for value in (s0, psi, context)]
-
-    iterates, free, costs = step.mapaccum(solver.steps)(u, *repeat(solver.steps))  # u_1 .. u_N
-    before = ca.horzcat(u, iterates)[:, solver.steps - last : solver.steps]  # u_{N-k} .. u_{N-1}
-    point = terminal_point(problem)(iterates[:, -1], s0, psi, context)
-
-    value, slope, direct = _loss_and_gradients(problem, loss)(iterates[:, -1], s0, psi, observed)
-    backwards = adjoint.mapaccum(last)(slope, before[:, ::-1], *repeat(last))
-    gradient = direct + ca.sum2(backwards[1])
-    remainder = ca.norm_2(backwards[0][:, -1]) / ca.fmax(ca.norm_2(slope), np.finfo(float).tiny)
-    output = ca.vertcat(value, remainder, _kink_distance(problem, solver, free), costs[0], gradient, point)
-    return compiled(ca.Function("unrolled", [u, s0, psi, context, observed], [output]))
-
-
-def _adjoint_step(problem: OCP, solver: GradientDescent) -> ca.Function:
-    """(v, u, s0, psi, c) -> (dPhi/du)^T v and (dPhi/dpsi)^T v: one Hessian-vector product."""
-    u, s0, psi, context = symbols(problem)
-    v = ca.MX.sym("v", u.numel())
-    moved = ca.dot(v, gradient_step(problem, solver)(u, s0, psi, context)[0])
-    return ca.Function("adjoint", [v, u, s0, psi, context], [ca.gradient(moved, u), ca.gradient(moved, psi)])
-
-
-def _loss_and_gradients(problem: OCP, loss: Loss) -> ca.Function:
-    """(u, s0, psi, Z) -> L, dL/du and, through the dynamics, dL/dpsi."""
-    u, s0, psi, _ = symbols(problem)
-    observed = ca.MX.sym("Z", problem.n_observations, problem.horizon + 1)
-    actions = as_columns(problem, u)
-    value = loss(problem)(problem.rollout(s0, actions, psi), actions, observed)
-    return ca.Function("loss", [u, s0, psi, observed], [value, ca.gradient(value, u), ca.gradient(value, psi)])
-
-
-def _kink_distance(problem: OCP, solver: GradientDescent, free: ca.MX) -> ca.MX:
-    """Smallest distance of the unprojected iterates (T n_u, N) to an action bound."""
-    bounds = [np.tile(bound, problem.horizon) for bound in problem.action_bounds]
-    finite = [(bound, np.flatnonzero(np.isfinite(bound))) for bound in bounds]
-    distances = [
-        ca.fabs(free[rows.tolist(), :] - ca.repmat(ca.DM(bound[rows]), 1, solver.steps))
-        for bound, rows in finite
-        if solver.project and len(rows)
-    ]
-    return ca.mmin(ca.vertcat(*map(ca.vec, distances))) if distances else ca.MX(np.inf)
+def _function(
+    problem: OCP, solver: GradientDescent, loss: Loss, last: int, checkpoint: bool, columns: int
+) -> ca.Function:
+    return compiled(unrolled_function(problem, solver, loss, last, checkpoint, columns))

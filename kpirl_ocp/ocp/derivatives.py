@@ -6,9 +6,14 @@ bring derivatives arranged by hand. Everything else gets the same interface thro
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import casadi as ca
+
+if TYPE_CHECKING:
+    from kpirl_ocp.ocp.sweeps import Sweeps
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,12 +24,14 @@ class DynamicsDerivatives:
     vjp: (s, u, psi, lam) -> f_s^T lam (n_s,), f_u^T lam (n_u,), f_psi^T lam (n_psi,).
     jacobian: (s, u, psi) -> f_s (n_s, n_s), f_u (n_s, n_u).
     hessian: (s, u, psi, lam) -> second derivative of lam . f with respect to (s, u), (n_s + n_u, n_s + n_u).
+    sweeps: (T, B) -> the passes along B trajectories, where something better than stage by stage is known.
     """
 
     jvp: ca.Function
     vjp: ca.Function
     jacobian: ca.Function
     hessian: ca.Function
+    sweeps: Callable[[int, int], Sweeps] | None = None
 
     @classmethod
     def by_ad(cls, dynamics: ca.Function) -> DynamicsDerivatives:

@@ -5,6 +5,7 @@ u <- P(u - alpha grad_u C_psi(rollout(s0, u))),    P the identity, or the projec
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,7 +17,9 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.kkt import largest
 from kpirl_ocp.ocp.native import compiled
 from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.reduced_cost import Linearisation, ReducedCost
 from kpirl_ocp.ocp.solver import Guess, guess_actions
+from kpirl_ocp.ocp.stage_costs import Coefficients
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 
@@ -47,10 +50,8 @@ class GradientDescent:
         """Take the steps; see `Solver.solve`. ProblemError for state bounds or path constraints."""
         start, psi, context = problem.inputs(s0, psi, context)
         check_constraints(problem, self.project)
-        descend, evaluate = _functions(problem, self)
-        final, initial_cost = descend(guess_actions(problem, guess).ravel(), start, psi, context)
-        point = np.array(evaluate(final, start, psi, context)).ravel()
-        return finish(problem, self, float(initial_cost), point)
+        output = np.array(_descent(problem, self)(guess_actions(problem, guess).T, start, psi, context)).ravel()
+        return finish(problem, self, float(output[0]), output[1:])
 
 
 def check_constraints(problem: OCP, project: bool) -> None:
@@ -67,80 +68,94 @@ def check_constraints(problem: OCP, project: bool) -> None:
         )
 
 
-def gradient_step(problem: OCP, solver: GradientDescent) -> ca.Function:
-    """(u (T n_u,), s0, psi, c) -> the next iterate, the point before the projection, and the cost at u."""
-    u, s0, psi, context = symbols(problem)
-    states = problem.rollout(s0, as_columns(problem, u), psi)
-    cost = problem.cost(states, as_columns(problem, u), psi, context)
-    free = u - solver.step_size * ca.gradient(cost, u)
-    return ca.Function("gradient_step", [u, s0, psi, context], [project(problem, solver, free), free, cost])
+def gradient_step(problem: OCP, solver: GradientDescent, columns: int = 1) -> ca.Function:
+    """(U (n_u, T B), s0, psi, theta) -> next U, J (1, B), U before the projection, and what `hessian_product` needs.
+
+    theta stands for the two arrays of `Coefficients`, the last for states and what
+    rollout and adjoint remember.
+    """
+    reduced, (u, s0, psi, context) = ReducedCost(problem, columns), symbols(problem, columns)
+    theta = symbols_like("theta", reduced.cost.coefficients(psi, context))
+    at = reduced.linearise(s0, u, psi, Coefficients(*theta))
+    free = u - solver.step_size * at.gradient
+    outputs = [
+        project(problem, solver, free),
+        at.value,
+        free,
+        at.rollout.states,
+        *at.rollout.memory,
+        *at.adjoint.memory,
+    ]
+    return ca.Function("gradient_step", [u, s0, psi, *theta], outputs)
 
 
 def project(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX:
-    """P(u): the nearest actions within the bounds, or u itself.
+    """P(U): the nearest actions within the bounds, or U itself.
 
     Written with comparisons, because fmin and fmax would turn NaN into a bound. Infinite bounds become huge ones, so
     that zero times a bound is zero.
     """
     if not solver.project:
         return u
-    bounds = (np.clip(bound, -1e300, 1e300) for bound in problem.action_bounds)
-    lower, upper = (ca.DM(np.tile(bound, problem.horizon)) for bound in bounds)
+    lower, upper = (ca.repmat(np.clip(bound, -1e300, 1e300), 1, u.size2()) for bound in problem.action_bounds)
     below, above = u < lower, u > upper
     return below * lower + above * upper + (1 - below - above) * u
 
 
-def terminal_point(problem: OCP) -> ca.Function:
-    """(u, s0, psi, c) -> one vector: states, actions, gradient (T n_u,), costates and objective, as `finish` takes it.
+def inside(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX | float:
+    """The derivative of P(U): one where an action is within its bounds, zero elsewhere."""
+    if not solver.project:
+        return 1.0
+    lower, upper = (ca.repmat(ca.DM(bound), 1, u.size2()) for bound in problem.action_bounds)
+    return 1 - (u < lower) - (u > upper)
 
-    One vector, because handing an array from CasADi to numpy costs as much as a gradient step of a small problem. The
+
+def terminal_point(at: Linearisation, columns: int = 1) -> ca.MX:
+    """One column per trajectory: states, actions, gradient, costates and objective, as `finish` takes them.
+
+    One array, because handing an array from CasADi to numpy costs as much as a gradient step of a small problem. The
     costate lambda_{t+1} is the derivative of the objective with respect to a disturbance added to s_{t+1}.
     """
-    u, s0, psi, context = symbols(problem)
-    unknowns = ca.MX.sym("x", problem.horizon * (problem.n_actions + problem.n_states))
-    moved, pushed = ca.vertsplit(unknowns, [0, u.numel(), unknowns.numel()])
-    s, a, p, d = (
-        ca.MX.sym("s", problem.n_states),
-        ca.MX.sym("a", problem.n_actions),
-        ca.MX.sym("p", problem.n_parameters),
-        ca.MX.sym("d", problem.n_states),
-    )
-    disturbed = ca.Function("disturbed", [s, a, p, d], [problem.dynamics(s, a, p) + d]).mapaccum(problem.horizon)
-    actions = as_columns(problem, moved)
-    disturbance = ca.reshape(pushed, problem.n_states, problem.horizon)
-    states = ca.horzcat(s0, disturbed(s0, actions, ca.repmat(psi, 1, problem.horizon), disturbance))
-    objective = problem.cost(states, actions, psi, context)
-    outputs = ca.vertcat(ca.vec(states), moved, ca.gradient(objective, unknowns), objective)
-    point = ca.Function("point", [unknowns, s0, psi, context], [outputs])
-    undisturbed = ca.vertcat(u, ca.MX.zeros(problem.horizon * problem.n_states))
-    return ca.Function("terminal_point", [u, s0, psi, context], [point(undisturbed, s0, psi, context)])
+    parts = (at.rollout.states, at.rollout.actions, at.gradient, at.adjoint.costates)
+    return ca.vertcat(*(by_trajectory(part, columns) for part in parts), at.value)
 
 
-def symbols(problem: OCP) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
-    """u (T n_u,), s0, psi, c."""
+def by_trajectory(array: ca.MX, columns: int) -> ca.MX:
+    """(n, T B), ordered by time, as (n T, B)."""
+    return ca.horzcat(*(ca.vec(array[:, index::columns]) for index in range(columns)))
+
+
+def symbols(problem: OCP, columns: int = 1) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
+    """U (n_u, T B), s0 (n_s, B), psi (n_psi, B), c (n_c, B)."""
     return (
-        ca.MX.sym("u", problem.horizon * problem.n_actions),
-        ca.MX.sym("s0", problem.n_states),
-        ca.MX.sym("psi", problem.n_parameters),
-        ca.MX.sym("c", problem.n_context),
+        ca.MX.sym("U", problem.n_actions, problem.horizon * columns),
+        ca.MX.sym("s0", problem.n_states, columns),
+        ca.MX.sym("psi", problem.n_parameters, columns),
+        ca.MX.sym("c", problem.n_context, columns),
     )
 
 
-def as_columns(problem: OCP, u: ca.MX) -> ca.MX:
-    """Actions (n_u, T) of the vector u (T n_u,)."""
-    return ca.reshape(u, problem.n_actions, problem.horizon)
+def symbols_like(name: str, arrays: Iterable[ca.MX]) -> list[ca.MX]:
+    """New symbols of the same shapes."""
+    return [ca.MX.sym(name, *array.shape) for array in arrays]
+
+
+def repeat(arrays: Iterable[ca.MX], count: int) -> list[ca.MX]:
+    """Each array side by side, as inputs of `count` steps that are the same."""
+    return [ca.repmat(array, 1, count) for array in arrays]
 
 
 @lru_cache(maxsize=64)
-def _functions(problem: OCP, solver: GradientDescent) -> tuple[ca.Function, ca.Function]:
-    """(u, s0, psi, c) -> last iterate and the cost of the first; and -> `terminal_point`."""
-    u, s0, psi, context = symbols(problem)
+def _descent(problem: OCP, solver: GradientDescent) -> ca.Function:
+    """(U, s0, psi, c) -> the cost of the guess, then `terminal_point`."""
+    reduced, (u, s0, psi, context) = ReducedCost(problem), symbols(problem)
+    theta = reduced.cost.coefficients(psi, context)
     step = gradient_step(problem, solver)
-    once = ca.Function("once", [u, s0, psi, context], [step(u, s0, psi, context)[0]])
-    repeated = (ca.repmat(value, 1, solver.steps) for value in (s0, psi, context))
-    last = once.fold(solver.steps)(u, *repeated)
-    descend = ca.Function("descend", [u, s0, psi, context], [last, step(u, s0, psi, context)[2]])
-    return compiled(descend), compiled(terminal_point(problem))
+    once = ca.Function("once", step.mx_in(), step.call(step.mx_in())[:1])
+    final = once.fold(solver.steps)(u, *repeat((s0, psi, *theta), solver.steps))
+    before, after = (reduced.linearise(s0, actions, psi, theta) for actions in (u, final))
+    output = ca.vertcat(before.value, terminal_point(after))
+    return compiled(ca.Function("descent", [u, s0, psi, context], [output]))
 
 
 def finish(problem: OCP, solver: GradientDescent, initial_cost: float, point: Array) -> Solution:

@@ -1,10 +1,13 @@
 """Native code: a CasADi function compiled by the system's C compiler, cached by content.
 
-Without a compiler the function itself is returned (CasADi's virtual machine), with one warning for the process.
+The cache is shared between processes and bounded: beyond `_CACHE_BYTES` the libraries that were not used for longest
+are removed. Without a compiler the function itself is returned (CasADi's virtual machine), with one warning for the
+process.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import shutil
@@ -16,8 +19,12 @@ from pathlib import Path
 
 import casadi as ca
 
-# No -ffast-math: NaN must stay NaN, so that it can be detected.
-_FLAGS = ("-O2", "-march=native", "-fPIC", "-shared")
+from kpirl_ocp.ocp.kernels import with_fast_kernels
+
+# No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order. The two -fno flags only
+# promise that nobody reads errno or traps floating-point exceptions; with them loops become vector instructions.
+_FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+_CACHE_BYTES = 512 * 2**20
 
 
 def compiled(function: ca.Function) -> ca.Function:
@@ -27,21 +34,47 @@ def compiled(function: ca.Function) -> ca.Function:
         return function
     generator = ca.CodeGenerator(f"{function.name()}.c")
     generator.add(function)
-    try:
-        library = _library(compiler, function.name(), generator.dump())
-    except (OSError, subprocess.CalledProcessError) as error:
-        _warn_slow(f"{compiler} could not compile {function.name()}: {error}")
-        return function
-    return ca.external(function.name(), str(library))
+    source = with_fast_kernels(generator.dump())
+    for _ in range(2):  # another process may remove the library before it is loaded
+        try:
+            library = _library(compiler, function.name(), source)
+        except (OSError, subprocess.CalledProcessError) as error:
+            _warn_slow(f"{compiler} could not compile {function.name()}: {error}")
+            return function
+        try:
+            return ca.external(function.name(), str(library))
+        except RuntimeError:
+            if library.exists():
+                raise
+    _warn_slow(f"other processes keep removing {library}")
+    return function
 
 
 def _library(compiler: str, name: str, source: str) -> Path:
-    """The shared library of a C source: from the cache, or built."""
+    """The shared library of a C source: from the cache, marked as used, or built."""
     key = "\0".join([source, compiler, _identity(compiler), *_FLAGS])
     library = cache_directory() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
-    if not library.exists():
+    try:
+        os.utime(library)
+    except FileNotFoundError:
         _build(compiler, source, library)
+        _evict(library)
+    except PermissionError:
+        pass  # a shared cache that may only be read
     return library
+
+
+def _evict(newest: Path) -> None:
+    """Remove the libraries that were not used for longest, until the cache fits; never the newest."""
+    found = []
+    for path in newest.parent.glob("*.so"):
+        with contextlib.suppress(FileNotFoundError):  # removed by another process meanwhile
+            found.append((path.stat().st_mtime_ns, path.stat().st_size, path))
+    excess = sum(size for _, size, _ in found) - _CACHE_BYTES
+    for _, size, path in sorted(found):
+        if excess > 0 and path != newest:
+            path.unlink(missing_ok=True)
+            excess -= size
 
 
 def cache_directory() -> Path:

@@ -1,0 +1,171 @@
+"""The passes of `kpirl_ocp.ocp.sweeps` for keypoint dynamics with a network.
+
+The joints do not depend on the keypoints: theta_t is a running sum of the actions and theta_dot is constant. So their
+share of the first layer is known for all times before z is, and
+
+    a_1 = W_z z_t + e_t,    e_t = W_theta theta_t + W_u u_t + (W_v theta_dot + b_1)
+
+leaves only W_z in the recursion over time; the rest is one matrix product for the whole trajectory, and the same holds
+for the tangent and, transposed, for the adjoints. The slopes of the activations are remembered by the rollout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
+
+import casadi as ca
+import numpy as np
+
+from kpirl_ocp.ocp.network import MLP, arrays, curved, from_arrays, pull, pull_tangent, push
+from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.sweeps import Adjoint, Memory, Rollout, along
+from kpirl_ocp.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkSweeps:
+    """The passes over T steps for B trajectories; see `kpirl_ocp.ocp.sweeps.Sweeps`."""
+
+    dynamics: NetworkDynamics
+    horizon: int
+    columns: int
+
+    def rollout(self, s0: ca.MX, actions: ca.MX, psi: ca.MX) -> Rollout:
+        """See `Sweeps`."""
+        z0, theta0, velocity = self._parts(s0)
+        theta = self._sum(theta0, actions)
+        constant = ca.mac(ca.DM(self._by_velocity), velocity, ca.repmat(ca.DM(self._mlp.biases[0]), 1, self.columns))
+        drive = self._drive(theta, actions, ca.repmat(constant, 1, self.horizon))
+        z, *memory = along(self._forward, z0, [drive], self.horizon)
+        states = _stack(ca.horzcat(z0, z), theta, ca.repmat(velocity, 1, self.horizon + 1))
+        return Rollout(states, actions, tuple(memory))
+
+    def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
+        """See `Sweeps`."""
+        zero = ca.MX.zeros(self.dynamics.n_z, self.columns)
+        dtheta = self._sum(ca.MX.zeros(self.dynamics.n_joints, self.columns), dU)
+        moved = along(self._tangent, zero, [*at.memory, self._drive(dtheta, dU)], self.horizon)
+        return _stack(ca.horzcat(zero, *moved), dtheta, ca.MX.zeros(dtheta.shape))
+
+    def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
+        """See `Sweeps`."""
+        return self._backwards(self._adjoint, psi, Q, *at.memory)
+
+    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
+        """See `Sweeps`."""
+        if not self._curved:
+            return self._backwards(self._adjoint, psi, Q, *at.memory)
+        dz, dtheta, _ = self._parts(dS)
+        inputs = *at.memory, *memory, dz[:, : dU.size2()], self._drive(dtheta, dU)
+        return self._backwards(self._adjoint_tangent, psi, Q, *inputs)
+
+    def _backwards(self, stage: ca.Function, psi: ca.MX, Q: ca.MX, *inputs: ca.MX) -> Adjoint:
+        """Accumulate a stage (lambda_z, q_z, ...) -> lambda_z, adjoint of a_1; then the joints' share, all at once."""
+        B, n_q = self.columns, self.dynamics.n_joints
+        by_z, by_theta, by_velocity = self._parts(Q)
+        swept, inner = along(stage, by_z[:, -B:], [by_z[:, :-B], *inputs], self.horizon, backwards=True)
+        costates = ca.horzcat(swept[:, B:], by_z[:, -B:])
+        share = ca.DM(self._by_joints.T) @ inner
+        theta = self._sum_back(by_theta, share[:n_q, :])
+        velocity = self._sum_back(by_velocity, ca.DM(self._by_velocity.T) @ inner)
+        return Adjoint(
+            costates=_stack(costates, theta, velocity),
+            by_actions=theta + share[n_q:, :],
+            by_parameters=ca.MX.zeros(psi.shape),
+            memory=(costates,) if self._curved else (),
+        )
+
+    def _drive(self, theta: ca.MX, actions: ca.MX, constant: ca.MX | None = None) -> ca.MX:
+        """W_theta theta_t + W_u u_t + constant for t < T, (n_1, T B)."""
+        by_theta, by_action = (ca.DM(part) for part in np.hsplit(self._by_joints, 2))
+        earlier = theta[:, : actions.size2()]
+        start = by_theta @ earlier if constant is None else ca.mac(by_theta, earlier, constant)
+        return ca.mac(by_action, actions, start)
+
+    def _sum(self, start: ca.MX, actions: ca.MX) -> ca.MX:
+        """theta_0 .. theta_T (n_q, (T+1) B), the running sum of the actions."""
+        return ca.horzcat(*accumulate(ca.horzsplit(actions, self.columns), initial=start))
+
+    def _sum_back(self, q: ca.MX, share: ca.MX) -> ca.MX:
+        """lambda_1 .. lambda_T of a row of the state that is an integrator: lambda_t = q_t + share_t + lambda_{t+1}."""
+        B = self.columns
+        pushes = ca.horzsplit(q[:, B:-B] + share[:, B:], B) if self.horizon > 1 else []
+        return ca.horzcat(*reversed(list(accumulate(reversed(pushes), initial=q[:, -B:]))))
+
+    def _parts(self, s: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+        """The rows z, theta and theta_dot."""
+        n_z, n_q = self.dynamics.n_z, self.dynamics.n_joints
+        return s[:n_z, :], s[n_z : n_z + n_q, :], s[n_z + n_q :, :]
+
+    @cached_property
+    def _mlp(self) -> MLP:
+        """The network as a function of z alone."""
+        mlp = self.dynamics.mlp
+        return replace(mlp, weights=(mlp.weights[0][:, : self.dynamics.n_z], *mlp.weights[1:]))
+
+    @cached_property
+    def _by_joints(self) -> Array:
+        """(W_theta, W_u)."""
+        first, n_z, n_q = self.dynamics.mlp.weights[0], self.dynamics.n_z, self.dynamics.n_joints
+        return np.hstack([first[:, n_z : n_z + n_q], first[:, n_z + 2 * n_q :]])
+
+    @cached_property
+    def _by_velocity(self) -> Array:
+        """W_v."""
+        n_z, n_q = self.dynamics.n_z, self.dynamics.n_joints
+        return self.dynamics.mlp.weights[0][:, n_z + n_q : n_z + 2 * n_q]
+
+    @cached_property
+    def _curved(self) -> bool:
+        return curved(self._mlp.linearise(ca.MX.sym("z", self.dynamics.n_z))[1])
+
+    @cached_property
+    def _forward(self) -> ca.Function:
+        """z, e -> z_next, slopes."""
+        z, drive = self._symbol("z"), self._symbol("e", len(self._by_joints))
+        y, slopes = self._mlp.linearise(z, drive)
+        return ca.Function("forward", [z, drive], [self._keep(z) + y, *arrays(slopes)])
+
+    @cached_property
+    def _tangent(self) -> ca.Function:
+        """dz, slopes, de -> dz_next."""
+        dz, drive, slopes = self._symbol("dz"), self._symbol("de", len(self._by_joints)), self._slopes
+        moved, _ = push(self._mlp, from_arrays(self._mlp, slopes), dz, drive)
+        return ca.Function("tangent", [dz, *slopes, drive], [self._keep(dz) + moved])
+
+    @cached_property
+    def _adjoint(self) -> ca.Function:
+        """lambda_z, q_z, slopes -> lambda_z before, adjoint of a_1."""
+        lam, q, slopes = self._symbol("lam"), self._symbol("q"), self._slopes
+        pulled, inner = pull(self._mlp, from_arrays(self._mlp, slopes), lam)
+        return ca.Function("adjoint", [lam, q, *slopes], [q + self._keep(lam) + pulled, inner])
+
+    @cached_property
+    def _adjoint_tangent(self) -> ca.Function:
+        """mu_z, q_z, slopes, lambda_z, dz, de -> mu_z before, tangent of the adjoint of a_1."""
+        mu, q, lam, dz = (self._symbol(name) for name in ("mu", "q", "lam", "dz"))
+        drive, slopes = self._symbol("de", len(self._by_joints)), self._slopes
+        pulled, inner = pull_tangent(self._mlp, from_arrays(self._mlp, slopes), lam, dz, mu, drive)
+        return ca.Function("adjoint_tangent", [mu, q, *slopes, lam, dz, drive], [q + self._keep(mu) + pulled, inner])
+
+    def _symbol(self, name: str, rows: int | None = None) -> ca.MX:
+        return ca.MX.sym(name, self.dynamics.n_z if rows is None else rows, self.columns)
+
+    @cached_property
+    def _slopes(self) -> list[ca.MX]:
+        """Symbols for what the rollout remembers."""
+        return [ca.MX.sym("slope", *part.shape) for part in arrays(self._mlp.linearise(self._symbol("z"))[1])]
+
+    def _keep(self, z: ca.MX) -> ca.MX | float:
+        return z if self.dynamics.residual else 0.0
+
+
+def _stack(*parts: ca.MX) -> ca.MX:
+    """`vertcat`, which transposes matrices three times, in one pass over each part."""
+    ends = list(accumulate(part.size1() for part in parts))
+    stacked = ca.MX(ca.DM.zeros(ends[-1], parts[0].size2()))
+    for part, end in zip(parts, ends, strict=True):
+        stacked[end - part.size1() : end, :] = part
+    return stacked
