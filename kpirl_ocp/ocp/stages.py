@@ -1,0 +1,168 @@
+"""Values and derivatives of all stages at once, dense, as the structured solvers and sensitivities take them.
+
+With x_t = (s_t, u_t) and the Lagrangian of the dynamics and path constraints
+
+    sum_t l(x_t) + lambda_t . (f(x_t) - s_{t+1}) + mu_t . h(x_t)  +  l_T(s_T),
+
+first derivatives are F_t = df/dx_t, G_t = dh/dx_t and r_t = gradient with respect to x_t, second ones
+H_t = d^2 (l + lambda_t . f + mu_t . h) / dx_t^2. Bounds are linear and are added by whoever needs them. Matrices of all
+stages lie side by side, vectors are columns: F (n_s, n_x T), G (n_h, n_x T), H (n_x, n_x T), r (n_x, T).
+Derivatives of f come from `OCP.dynamics_derivatives`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from kpirl_ocp.ocp.native import compiled
+from kpirl_ocp.ocp.problem import OCP
+
+# T n_x^2 from which machine code saves more than the second that the compiler takes: small problems are solved in
+# milliseconds by CasADi's virtual machine.
+_WORTH_COMPILING = 5000
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """Functions of a point: S (n_s, T+1), U (n_u, T), psi, c.
+
+    values: -> J, defects f - s_next (n_s, T), path constraints h (n_h, T).
+    first: also (Lambda (n_s, T), M (n_h, T)) -> the values, gradient of J (n_x, T) and (n_s,), r (n_x, T) and r_T (n_s,).
+    second: the same -> the outputs of `first`, then F, G, H and H_T (n_s, n_s).
+    compile: what was done to these functions and is right for others of this problem: compiled, or left as they are.
+    """
+
+    values: ca.Function
+    first: ca.Function
+    second: ca.Function
+    compile: Callable[[ca.Function], ca.Function]
+
+
+@lru_cache(maxsize=64)
+def stages(problem: OCP) -> Stages:
+    """The stage functions of a problem; cached, and compiled if the problem is big enough to repay it."""
+    big = problem.horizon * (problem.n_states + problem.n_actions) ** 2 > _WORTH_COMPILING
+    compile = compiled if big else _as_it_is
+    point, dual = _symbols(problem)
+    values = _values(problem, *point)
+    gradients = _gradients(problem, *point, *dual)
+    matrices = _matrices(problem, *point, *dual)
+    return Stages(
+        values=compile(ca.Function("stage_values", point, values)),
+        first=compile(ca.Function("stage_first", [*point, *dual], [*values, *gradients])),
+        second=compile(ca.Function("stage_second", [*point, *dual], [*values, *gradients, *matrices])),
+        compile=compile,
+    )
+
+
+def _as_it_is(function: ca.Function) -> ca.Function:
+    return function
+
+
+def _symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX]]:
+    """S, U, psi, c and Lambda, M."""
+    steps, n_s = problem.horizon, problem.n_states
+    point = [
+        ca.MX.sym("S", n_s, steps + 1),
+        ca.MX.sym("U", problem.n_actions, steps),
+        ca.MX.sym("psi", problem.n_parameters),
+        ca.MX.sym("c", problem.n_context),
+    ]
+    return point, [ca.MX.sym("Lambda", n_s, steps), ca.MX.sym("M", problem.n_path, steps)]
+
+
+def _values(problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX) -> list[ca.MX]:
+    before, after = states[:, :-1], states[:, 1:]
+    defects = problem.dynamics.map(problem.horizon)(before, actions, _repeat(problem, psi)) - after
+    cost, path = problem.cost(states, actions, psi, context), problem.path(states, actions, psi, context)
+    return [cost, ca.densify(defects), ca.densify(path)]
+
+
+def _gradients(
+    problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX, costates: ca.MX, forces: ca.MX
+) -> list[ca.MX]:
+    steps, n_s = problem.horizon, problem.n_states
+    before, schedule = states[:, :-1], ca.DM(np.asarray(problem.schedule)).T
+    arguments = [before, actions, _repeat(problem, psi), _repeat(problem, context), schedule[:, :steps]]
+    cost = _stage_gradient(problem.stage_cost).map(steps)(*arguments, ca.DM.ones(1, steps))
+    last = _terminal(problem)(states[:, -1], psi, context, schedule[:, steps])[0]
+    lagrangian = cost
+    if problem.path_constraint is not None:
+        lagrangian += _stage_gradient(problem.path_constraint).map(steps)(*arguments, forces)
+    by_state, by_action, _ = problem.dynamics_derivatives.vjp.map(steps)(before, actions, arguments[2], costates)
+    lagrangian += ca.vertcat(by_state, by_action)
+    arriving = ca.horzcat(ca.MX.zeros(n_s, 1), costates)  # s_t is where stage t-1 arrives
+    lagrangian -= ca.vertcat(arriving[:, :steps], ca.MX.zeros(problem.n_actions, steps))
+    return [ca.densify(x) for x in (cost, last, lagrangian, last - arriving[:, steps])]
+
+
+def _matrices(
+    problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX, costates: ca.MX, forces: ca.MX
+) -> list[ca.MX]:
+    steps, n_x = problem.horizon, problem.n_states + problem.n_actions
+    before, schedule = states[:, :-1], ca.DM(np.asarray(problem.schedule)).T
+    arguments = [before, actions, _repeat(problem, psi), _repeat(problem, context), schedule[:, :steps]]
+    F = _dynamics_jacobian(problem).map(steps)(*arguments[:3])
+    H = problem.dynamics_derivatives.hessian.map(steps)(*arguments[:3], costates)
+    H += _stage_hessian(problem.stage_cost).map(steps)(*arguments, ca.DM.ones(1, steps))
+    G = ca.MX(0, n_x * steps)
+    if problem.path_constraint is not None:
+        H += _stage_hessian(problem.path_constraint).map(steps)(*arguments, forces)
+        G = _stage_jacobian(problem.path_constraint).map(steps)(*arguments)
+    last = _terminal(problem)(states[:, -1], psi, context, schedule[:, steps])[1]
+    return [ca.densify(x) for x in (F, G, H, last)]
+
+
+def _repeat(problem: OCP, value: ca.MX) -> ca.MX:
+    return ca.repmat(value, 1, problem.horizon)
+
+
+def _dynamics_jacobian(problem: OCP) -> ca.Function:
+    s, u, psi = (ca.MX.sym(name, problem.dynamics.size1_in(i)) for i, name in enumerate(("s", "u", "psi")))
+    F = ca.horzcat(*problem.dynamics_derivatives.jacobian(s, u, psi))
+    return ca.Function("dynamics_jacobian", [s, u, psi], [ca.densify(F)])
+
+
+def _pairing(function: ca.Function) -> tuple[list[ca.SX | ca.MX], ca.SX | ca.MX, ca.SX | ca.MX, ca.SX | ca.MX]:
+    """Inputs of g(s, u, psi, c, d), x = (s, u), weights mu, and g; of one kind, SX where the function is."""
+    kind = ca.SX if function.is_a("SXFunction") else ca.MX
+    inputs = [kind.sym(name, function.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d"))]
+    return inputs, ca.vertcat(*inputs[:2]), kind.sym("mu", function.size1_out(0)), function(*inputs)
+
+
+def _stage_gradient(function: ca.Function) -> ca.Function:
+    """(s, u, psi, c, d, mu) -> gradient of mu . g with respect to (s, u)."""
+    inputs, x, mu, value = _pairing(function)
+    return ca.Function("gradient", [*inputs, mu], [ca.densify(_gradient(ca.dot(mu, value), inputs))])
+
+
+def _stage_jacobian(function: ca.Function) -> ca.Function:
+    """(s, u, psi, c, d) -> Jacobian of g with respect to (s, u)."""
+    inputs, _, _, value = _pairing(function)
+    return ca.Function("jacobian", inputs, [ca.densify(ca.horzcat(*(ca.jacobian(value, x) for x in inputs[:2])))])
+
+
+def _stage_hessian(function: ca.Function) -> ca.Function:
+    """(s, u, psi, c, d, mu) -> second derivative of mu . g with respect to (s, u)."""
+    inputs, x, mu, value = _pairing(function)
+    slope = _gradient(ca.dot(mu, value), inputs)
+    hessian = ca.horzcat(*(ca.jacobian(slope, x) for x in inputs[:2]))
+    return ca.Function("hessian", [*inputs, mu], [ca.densify(hessian)])
+
+
+def _gradient(value: ca.SX | ca.MX, inputs: list[ca.SX | ca.MX]) -> ca.SX | ca.MX:
+    return ca.vertcat(*(ca.gradient(value, x) for x in inputs[:2]))
+
+
+def _terminal(problem: OCP) -> ca.Function:
+    """(s, psi, c, d) -> gradient and Hessian of l_T."""
+    function = problem.terminal_cost
+    kind = ca.SX if function.is_a("SXFunction") else ca.MX
+    inputs = [kind.sym(name, function.size1_in(i)) for i, name in enumerate(("s", "psi", "c", "d"))]
+    hessian, gradient = ca.hessian(function(*inputs), inputs[0])
+    return ca.Function("terminal", inputs, [ca.densify(gradient), ca.densify(hessian)])
