@@ -21,10 +21,12 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradient import Certificate, HypergradientResult, check_policy, enforce, not_finite, seen
 from kpirl_ocp.irl.loss import Loss, squared_distance
+from kpirl_ocp.ocp.factorisation import Factorisation
 from kpirl_ocp.ocp.ipopt import Ipopt
 from kpirl_ocp.ocp.probe import Probe, probe
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.sensitivity import Factorisation, Instance, linearise, primal_dual, scatter
+from kpirl_ocp.ocp.response import Response
+from kpirl_ocp.ocp.sensitivity import Instance, linearise, primal_dual
 from kpirl_ocp.ocp.solver import Guess, Solver
 from kpirl_ocp.types import Demonstration, Mask, Solution, Status
 
@@ -32,7 +34,7 @@ from kpirl_ocp.types import Demonstration, Mask, Solution, Status
 # behind, and well below what a healthy problem shows.
 KKT_RESIDUAL = 1e-6
 CURVATURE = 1e-8
-QUALIFICATION = 1e-7
+QUALIFICATION = 1e-5
 STEP = 1e-5
 MARGIN = 1e-7
 CHANGE = 1e-4
@@ -115,32 +117,28 @@ def differentiate(
     if not system.finite or not np.isfinite(slope).all():
         return _undefined(value, len(psi), solution, active)
 
-    factors = Factorisation(system)
-    w, costates, forces, residual = factors.solve(slope, np.zeros(system.n_defects), np.zeros(int(active.sum())))
-    forces = scatter(active, forces) + system.stiffness * (system.rows @ w)
-    multipliers = (point.costates, instance.path_forces(point.forces))
-    adjoint = (w, costates, instance.path_forces(forces))
-    gradient = -np.array(instance.nlp.cross(*instance.at(point.w), *multipliers, *adjoint)).ravel()
+    response = Response(system, Factorisation(system))
+    adjoint = response.pull(slope)
 
     nearby = Probe(np.inf, np.nan, np.inf, np.inf)
-    if np.isfinite(w).all():
-        nearby = probe(instance, system, factors, slope, w)
+    if np.isfinite(adjoint.adjoint).all():
+        nearby = probe(instance, system, response.factors, slope, adjoint.adjoint)
     evidence = ImplicitCertificate(
         solution=solution,
         failures=(),
         kkt_residual=solution.residuals.worst,
-        curvature=factors.curvature,
-        qualification=factors.qualification,
+        curvature=response.factors.curvature,
+        qualification=response.factors.qualification,
         step=nearby.step,
         margin=nearby.margin,
         change=nearby.change,
         kink=nearby.kink,
-        linear_residual=residual,
+        linear_residual=adjoint.residual,
         active=active,
         barrier=solution.barrier,
     )
-    failures = tuple(not_finite(value, gradient) + _failures(evidence))
-    return HypergradientResult(value, gradient, replace(evidence, failures=failures))
+    failures = tuple(not_finite(value, adjoint.psi) + _failures(evidence))
+    return HypergradientResult(value, adjoint.psi, replace(evidence, failures=failures))
 
 
 @lru_cache(maxsize=64)

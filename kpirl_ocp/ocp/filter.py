@@ -29,9 +29,7 @@ class Filter:
         """For a first iterate with violation theta."""
         return cls(largest=1e4 * max(1.0, theta), small=1e-4 * max(1.0, theta))
 
-    def accepts(
-        self, theta: float, phi: float, slope: float, length: float, trial: tuple[float, float]
-    ) -> bool:
+    def accepts(self, theta: float, phi: float, slope: float, length: float, trial: tuple[float, float]) -> bool:
         """Is a step of `length` from (theta, phi) with directional derivative `slope` of phi to `trial` good enough?
 
         Adds the point it leaves to the filter, unless the objective alone decided.

@@ -106,14 +106,17 @@ def newton_step(problem: OCP) -> ca.Function:
 
     weights = z / y
     force = tau / y + weights * (g + y)  # z after the step, before w moves
+    split = [0, m_b, g.numel()]  # bounds, path constraints
+    (force_b, force_h), (weights_b, weights_h) = ca.vertsplit(force, split), ca.vertsplit(weights, split)
+    pushing = force_h - ca.vertsplit(z, split)[1]  # the gradient r holds the path constraints' z
     bounds, fixed = _selection(problem, at.entries, at.signs), _selection(problem, at.fixed, np.ones(len(at.fixed)))
-    push, push_last = _by_stage(problem, bounds @ force[:m_b] + fixed @ (nu + off / PROXIMAL))
-    stiff, stiff_last = _by_stage(problem, (bounds * bounds) @ weights[:m_b] + ca.sum2(fixed) / PROXIMAL + rho)
-    by_stage = (ca.reshape(x[m_b:], n_h, steps) for x in (weights, force - z))  # r holds the path constraints' z
+    push, push_last = _by_stage(problem, bounds @ force_b + fixed @ (nu + off / PROXIMAL))
+    stiff, stiff_last = _by_stage(problem, (bounds * bounds) @ weights_b + ca.sum2(fixed) / PROXIMAL + rho)
+    by_stage = (ca.reshape(x, n_h, steps) for x in (weights_h, pushing))
     condensed, slope = _condense(n_x, n_h).map(steps)(H, r + push, G, stiff, *by_stage)
 
     P, W, Y, pivots = factorise(n_s, n_u, steps)(F, condensed, H_last + ca.diag(stiff_last))
-    ds, du, dlam = substitute(n_s, n_u, steps)(F, P, W, Y, slope, last + push_last, defects, gap)
+    ds, du, dlam = substitute(n_s, n_u, steps)(F, P, W, Y, pivots, slope, last + push_last, defects, gap)
     dw = ca.vertcat(ca.vec(ds[:, 1:]), ca.vec(du))
     dg = ca.vertcat(bounds.T @ dw, ca.vec(_product(n_h, n_x).map(steps)(G, ca.vertcat(ds[:, :steps], du))))
     step = [ds, du, dlam, -(g + y) - dg, force + weights * dg - z, (fixed.T @ dw + off) / PROXIMAL, pivots]

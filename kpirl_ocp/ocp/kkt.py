@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+import scipy.sparse
 
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.types import Array, Indices, KKTResiduals, Mask, Multipliers, Trajectory
@@ -156,10 +157,11 @@ class Inequalities:
         net[self.upper] += forces[split : split + len(self.upper)]
         return net
 
-    def jacobian(self, path_jacobian: Array) -> Array:
+    def jacobian(self, path_jacobian: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
         """Jacobian (n_ineq, n_w) of the constraint values -slack, from that of the path constraints (T n_h, n_w)."""
-        identity = np.eye(path_jacobian.shape[1])
-        return np.vstack([-identity[self.lower], identity[self.upper], path_jacobian])
+        identity = scipy.sparse.identity(path_jacobian.shape[1], format="csr")
+        parts = [-identity[self.lower], identity[self.upper], path_jacobian]
+        return scipy.sparse.vstack(parts, format="csr")
 
 
 def audit(

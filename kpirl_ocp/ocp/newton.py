@@ -11,7 +11,7 @@ from kpirl_ocp.ocp.calls import Call
 from kpirl_ocp.ocp.interior_point import Rows, newton_step, rows
 from kpirl_ocp.ocp.kkt import largest
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.stages import stages
+from kpirl_ocp.ocp.stages import by_time, stages
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Trajectory
 
 _PUSH = 1e-2  # how far a cold start is moved inside its bounds, relative to their size and distance
@@ -108,7 +108,16 @@ class Derivatives:
             feasibility=largest(np.concatenate([self.defects, self.gap, self.off, np.maximum(self.rows, 0.0)])),
             complementarity=largest(-self.rows * forces - tau),
             sign=0.0,  # z > 0 always
-            scale=float(np.max([1.0, largest(self.cost_gradient[len(self.gap) :]), largest(it.costates), largest(forces[self.n_bounds :])])),
+            scale=float(
+                np.max(
+                    [
+                        1.0,
+                        largest(self.cost_gradient[len(self.gap) :]),
+                        largest(it.costates),
+                        largest(forces[self.n_bounds :]),
+                    ]
+                )
+            ),
         )
 
 
@@ -149,15 +158,14 @@ class Newton:
 
     def differentiate(self, at: Iterate) -> Derivatives:
         """Everything that a Newton step needs."""
-        n_s, steps = self.problem.n_states, self.problem.horizon
         forces = at.z[len(self._rows.bounds) :]
         outputs = self._second(*self._point(at.s0, at.w), self.psi, self.context, at.costates, forces)
         (objective,), defects, path, cost, cost_last, r, r_last = outputs[:7]
         return Derivatives(
             iterate=at,
             objective=float(objective),
-            cost_gradient=_by_time(cost, cost_last, n_s, steps),
-            gradient=_by_time(r, r_last, n_s, steps)[n_s:] + self._rows.push(at.z, at.nu, len(at.w)),
+            cost_gradient=by_time(self.problem, cost, cost_last),
+            gradient=by_time(self.problem, r, r_last)[len(self.s0) :] + self._rows.push(at.z, at.nu, len(at.w)),
             defects=defects,
             gap=self.s0 - at.s0,
             off=at.w[self._rows.fixed] - self._rows.values,
@@ -238,12 +246,6 @@ class Newton:
         w[at.upper] = np.minimum(w[at.upper], high[at.upper] - margin[n_low:])
         w[at.fixed] = at.values
         return w
-
-
-def _by_time(x: Array, last: Array, n_s: int, steps: int) -> Array:
-    """Columns x_t (n_x, T), flat, and s_T as (s_0, .. s_T, u_0 .. u_{T-1})."""
-    stage = x.reshape(steps, -1)
-    return np.concatenate([stage[:, :n_s].ravel(), last, stage[:, n_s:].ravel()])
 
 
 def _longest(value: Array, change: Array, share: float) -> float:

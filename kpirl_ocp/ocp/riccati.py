@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
@@ -24,7 +23,7 @@ _START = 0.1  # barrier parameter of a cold start
 _WARM = 1e-6  # of a warm start
 _SHORTEST = 1e-10  # step length below which a line search gives up
 _TINY = 1e-14  # relative step below which rounding decides, so that the step is taken as it is
-_FAR = 1e15  # |w| beyond which an iterate has diverged
+_FAR = 1e12  # |w| beyond which an iterate has diverged
 _ATTEMPTS = 6  # line searches at one iterate, each with a stronger regularisation
 
 

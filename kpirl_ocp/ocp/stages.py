@@ -21,6 +21,7 @@ import numpy as np
 
 from kpirl_ocp.ocp.native import compiled
 from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.types import Array
 
 # T n_x^2 from which machine code saves more than the second that the compiler takes: small problems are solved in
 # milliseconds by CasADi's virtual machine.
@@ -58,6 +59,12 @@ def stages(problem: OCP) -> Stages:
         second=compile(ca.Function("stage_second", [*point, *dual], [*values, *gradients, *matrices])),
         compile=compile,
     )
+
+
+def by_time(problem: OCP, x: Array, last: Array) -> Array:
+    """Columns x_t (n_x, T), flat, and s_T (n_s,) as one vector (s_0, .. s_T, u_0 .. u_{T-1})."""
+    columns = x.reshape(problem.horizon, -1)
+    return np.concatenate([columns[:, : problem.n_states].ravel(), last, columns[:, problem.n_states :].ravel()])
 
 
 def _as_it_is(function: ca.Function) -> ca.Function:
@@ -128,28 +135,28 @@ def _dynamics_jacobian(problem: OCP) -> ca.Function:
     return ca.Function("dynamics_jacobian", [s, u, psi], [ca.densify(F)])
 
 
-def _pairing(function: ca.Function) -> tuple[list[ca.SX | ca.MX], ca.SX | ca.MX, ca.SX | ca.MX, ca.SX | ca.MX]:
-    """Inputs of g(s, u, psi, c, d), x = (s, u), weights mu, and g; of one kind, SX where the function is."""
+def _pairing(function: ca.Function) -> tuple[list[ca.SX | ca.MX], ca.SX | ca.MX, ca.SX | ca.MX]:
+    """Inputs of g(s, u, psi, c, d), weights mu, and g; of one kind, SX where the function is."""
     kind = ca.SX if function.is_a("SXFunction") else ca.MX
     inputs = [kind.sym(name, function.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d"))]
-    return inputs, ca.vertcat(*inputs[:2]), kind.sym("mu", function.size1_out(0)), function(*inputs)
+    return inputs, kind.sym("mu", function.size1_out(0)), function(*inputs)
 
 
 def _stage_gradient(function: ca.Function) -> ca.Function:
     """(s, u, psi, c, d, mu) -> gradient of mu . g with respect to (s, u)."""
-    inputs, x, mu, value = _pairing(function)
+    inputs, mu, value = _pairing(function)
     return ca.Function("gradient", [*inputs, mu], [ca.densify(_gradient(ca.dot(mu, value), inputs))])
 
 
 def _stage_jacobian(function: ca.Function) -> ca.Function:
     """(s, u, psi, c, d) -> Jacobian of g with respect to (s, u)."""
-    inputs, _, _, value = _pairing(function)
+    inputs, _, value = _pairing(function)
     return ca.Function("jacobian", inputs, [ca.densify(ca.horzcat(*(ca.jacobian(value, x) for x in inputs[:2])))])
 
 
 def _stage_hessian(function: ca.Function) -> ca.Function:
     """(s, u, psi, c, d, mu) -> second derivative of mu . g with respect to (s, u)."""
-    inputs, x, mu, value = _pairing(function)
+    inputs, mu, value = _pairing(function)
     slope = _gradient(ca.dot(mu, value), inputs)
     hessian = ca.horzcat(*(ca.jacobian(slope, x) for x in inputs[:2]))
     return ca.Function("hessian", [*inputs, mu], [ca.densify(hessian)])
