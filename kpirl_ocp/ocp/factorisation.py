@@ -140,10 +140,14 @@ class Factorisation:
                 break
         return (*(result if np.isfinite(best) else (w, costates, forces)), best)
 
+    def size(self, right: Array) -> float:
+        """|r_w| over the largest |eigenvalue| of the condensed Hessian: the least that an unconstrained w can be."""
+        return float(np.linalg.norm(right)) / (self._scale or 1.0)
+
     def _error(self, parts: tuple[Array, Array, Array], right: Array, w: Array) -> float:
-        """The largest of the three residuals, relative to the right-hand side or to w."""
+        """The largest of the three residuals, relative to the right-hand side or to what w would be without rows."""
         off, gap, violation = (float(np.linalg.norm(part)) for part in (*parts[:2], parts[2] / self._units))
-        size = float(np.linalg.norm(w)) or 1.0
+        size = max(float(np.linalg.norm(w)), self.size(right)) or 1.0
         return max(off / (float(np.linalg.norm(right)) or 1.0), gap / size, violation / size)
 
     def _factor(self, H: Array, H_last: Array, weights: Array) -> tuple[list[Array], Array]:

@@ -23,6 +23,7 @@ from kpirl_ocp.types import Array
 
 _KNOWN = 1e-9  # relative accuracy to which no solution is known better
 _SOLVED = 1e-6  # relative residual of the adjoint after the step; above it the old factors are of no use there
+_NOTHING = 1e-8  # an adjoint this much shorter than a free one is zero up to rounding: the constraints leave no freedom
 _DIFFERENCE = 1e-6  # step of the difference quotient, relative to w: truncation about 1e-12, rounding about 1e-10
 
 
@@ -54,7 +55,7 @@ def probe(instance: Instance, system: KKTSystem, factors: Factorisation, right: 
     if again.finite:
         nothing = np.zeros(len(system.defects)), np.zeros(int(system.active.sum()))
         moved, *_, residual = factors.solve(right, *nothing, again)
-        change = _relative(moved - adjoint, adjoint) if residual <= _SOLVED else np.inf
+        change = _relative(moved - adjoint, adjoint, _NOTHING * factors.size(right)) if residual <= _SOLVED else np.inf
     return Probe(step, margin, change, _kink(instance, system, adjoint))
 
 
@@ -86,8 +87,8 @@ def _kink(instance: Instance, system: KKTSystem, adjoint: Array) -> float:
     return _relative(difference - system.times_hessian(adjoint), difference)
 
 
-def _relative(part: Array, whole: Array) -> float:
-    """|part| / |whole|; NaN and infinity count as infinite."""
-    size = float(np.linalg.norm(whole))
+def _relative(part: Array, whole: Array, floor: float = 0.0) -> float:
+    """|part| / |whole|, the latter at least `floor`; NaN and infinity count as infinite."""
+    size = max(float(np.linalg.norm(whole)), floor)
     ratio = float(np.linalg.norm(part)) / size if size > 0 else 0.0
     return ratio if np.isfinite(ratio) else np.inf
