@@ -23,6 +23,7 @@ import numpy as np
 
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.recursion import factorise, substitute
+from kpirl_ocp.ocp.stages import stages
 from kpirl_ocp.types import Array, Indices
 
 PROXIMAL = 1e-9  # delta
@@ -89,7 +90,7 @@ def rows(problem: OCP) -> Rows:
 
 @lru_cache(maxsize=64)
 def newton_step(problem: OCP) -> ca.Function:
-    """The step (ds (n_s, T+1), du (n_u, T), dlambda (n_s, T), dy (m,), dz (m,), dnu) and the pivots (n_u, T).
+    """The step, compiled as the problem's `Stages` are: (ds (n_s, T+1), du (n_u, T), dlambda (n_s, T), dy (m,), dz (m,), dnu) and the pivots (n_u, T).
 
     Of (r, r_T, defects, F, G, H, H_T) of `Stages.second`, g (m,), the violation of fixed entries, the gap in s_0,
     y, z, nu, tau and rho.
@@ -121,7 +122,7 @@ def newton_step(problem: OCP) -> ca.Function:
     dg = ca.vertcat(bounds.T @ dw, ca.vec(_product(n_h, n_x).map(steps)(G, ca.vertcat(ds[:, :steps], du))))
     step = [ds, du, dlam, -(g + y) - dg, force + weights * dg - z, (fixed.T @ dw + off) / PROXIMAL, pivots]
     inputs = [r, last, defects, F, G, H, H_last, g, off, gap, y, z, nu, tau, rho]
-    return ca.Function("newton_step", inputs, [ca.densify(x) for x in step])
+    return stages(problem).compile(ca.Function("newton_step", inputs, [ca.densify(x) for x in step]))
 
 
 def _condense(n_x: int, n_h: int) -> ca.Function:

@@ -96,28 +96,26 @@ class Derivatives:
         parts = (self.defects, self.gap, self.off, self.rows + self.iterate.y)
         return float(sum(np.abs(part).sum() for part in parts))
 
+    @property
+    def scale(self) -> float:
+        """What the residuals of stationarity and complementarity are relative to, as in `KKTResiduals`."""
+        it = self.iterate
+        sizes = map(largest, (self.cost_gradient[len(self.gap) :], it.costates, it.z[self.n_bounds :]))
+        return float(np.max([1.0, *sizes]))
+
     def merit(self, tau: float) -> tuple[float, float]:
         """theta, and phi = J - tau sum log y."""
         return self.violation, self.objective - tau * float(np.log(self.iterate.y).sum())
 
     def residuals(self, tau: float) -> KKTResiduals:
         """The first-order conditions at the iterate, with complementarity tau."""
-        it, forces = self.iterate, self.iterate.z
+        forces = self.iterate.z
         return KKTResiduals(
             stationarity=largest(self.gradient),
             feasibility=largest(np.concatenate([self.defects, self.gap, self.off, np.maximum(self.rows, 0.0)])),
             complementarity=largest(-self.rows * forces - tau),
             sign=0.0,  # z > 0 always
-            scale=float(
-                np.max(
-                    [
-                        1.0,
-                        largest(self.cost_gradient[len(self.gap) :]),
-                        largest(it.costates),
-                        largest(forces[self.n_bounds :]),
-                    ]
-                )
-            ),
+            scale=self.scale,
         )
 
 
@@ -128,11 +126,11 @@ class Newton:
         self.problem, self.s0, self.psi, self.context = problem, s0, psi, context
         functions = stages(problem)
         self._values, self._second = Call(functions.values), Call(functions.second)
-        self._step = Call(functions.compile(newton_step(problem)))
+        self._step = Call(newton_step(problem))
         self._rows: Rows = rows(problem)
 
-    def start(self, guess: Trajectory | None, tau: float) -> Iterate:
-        """A cold start at a trajectory, or at the rollout of no action: inside the bounds, all multipliers tau / y."""
+    def start(self, guess: Trajectory | None) -> Iterate:
+        """A cold start at a trajectory, or at the rollout of no action: inside the bounds, without multipliers."""
         problem = self.problem
         if guess is None:
             guess = problem.simulate(self.s0, np.zeros((problem.horizon, problem.n_actions)), self.psi)
@@ -142,7 +140,7 @@ class Newton:
         y = np.maximum(-g, _PUSH)
         y[: len(self._rows.bounds)] = -g[: len(self._rows.bounds)]
         costates = np.zeros(problem.horizon * problem.n_states)
-        return Iterate(states[0], w, costates, y, tau / y, np.zeros(len(self._rows.fixed)))
+        return Iterate(states[0], w, costates, y, np.zeros(len(y)), np.zeros(len(self._rows.fixed)))
 
     def resume(self, guess: Solution, tau: float) -> Iterate:
         """A warm start: slacks and multipliers of the guess, lifted until their products are at least tau."""

@@ -19,7 +19,7 @@ from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.solver import Guess
 from kpirl_ocp.types import KKTResiduals, Solution, Status
 
-_START = 0.1  # barrier parameter of a cold start
+_START = 0.1  # barrier parameter of a cold start, relative to the gradient of the objective there
 _WARM = 1e-6  # of a warm start
 _SHORTEST = 1e-10  # step length below which a line search gives up
 _TINY = 1e-14  # relative step below which rounding decides, so that the step is taken as it is
@@ -59,9 +59,13 @@ class Riccati:
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
         newton = Newton(problem, *problem.inputs(s0, psi, context))
-        warm = isinstance(guess, Solution)
-        tau = self.barrier or (_WARM if warm else _START)
-        iterate = newton.resume(guess, tau) if isinstance(guess, Solution) else newton.start(guess, tau)
+        if isinstance(guess, Solution):
+            tau = self.barrier or _WARM
+            iterate = newton.resume(guess, tau)
+        else:
+            iterate = newton.start(guess)
+            tau = self.barrier or _START * newton.differentiate(iterate).scale
+            iterate = replace(iterate, z=tau / iterate.y)
         run = _Run(self, newton, iterate, tau)
         status = run.converge() if self.steps is None else run.advance(self.steps)
         return run.solution(status)
