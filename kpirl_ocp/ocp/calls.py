@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import casadi as ca
 import numpy as np
 
@@ -16,22 +18,32 @@ class Call:
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = function.buffer()
-        self._sizes_in = [function.nnz_in(i) for i in range(function.n_in())]
-        self._sizes_out = [function.nnz_out(i) for i in range(function.n_out())]
-        if any(function.sparsity_in(i).nnz() != function.numel_in(i) for i in range(function.n_in())):
-            raise ValueError(f"{function} has a sparse input.")
-        if any(function.sparsity_out(i).nnz() != function.numel_out(i) for i in range(function.n_out())):
-            raise ValueError(f"{function} has a sparse output.")
+        self._sizes_in, self._sizes_out = _sizes(function)
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """New flat arrays, one per output."""
         flat = [np.ascontiguousarray(argument, float) for argument in arguments]
-        if [len(a) for a in flat] != self._sizes_in:
-            raise ValueError(f"arguments have lengths {[len(a) for a in flat]}, expected {self._sizes_in}.")
+        if [array.size for array in flat] != self._sizes_in:
+            raise ValueError(f"arguments have {[array.size for array in flat]} numbers, expected {self._sizes_in}.")
         for i, array in enumerate(flat):
-            self._buffer.set_arg(i, memoryview(array))
+            self._buffer.set_arg(i, array.data)
         outputs = [np.empty(size) for size in self._sizes_out]
         for i, array in enumerate(outputs):
-            self._buffer.set_res(i, memoryview(array))
+            self._buffer.set_res(i, array.data)
         self._evaluate()
         return outputs
+
+
+@lru_cache(maxsize=512)
+def _sizes(function: ca.Function) -> tuple[list[int], list[int]]:
+    """Lengths of the inputs and outputs, all of which must be dense."""
+    for sparsity in (
+        *(function.sparsity_in(i) for i in range(function.n_in())),
+        *(function.sparsity_out(i) for i in range(function.n_out())),
+    ):
+        if not sparsity.is_dense():
+            raise ValueError(f"{function} has an input or output that is not dense.")
+    return (
+        [function.numel_in(i) for i in range(function.n_in())],
+        [function.numel_out(i) for i in range(function.n_out())],
+    )

@@ -16,7 +16,7 @@ nu + (w_fixed - b) / delta: exact where the method converges, and never singular
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -44,12 +44,12 @@ class Rows:
     values: Array
     n_path: int
 
-    @property
+    @cached_property
     def signs(self) -> Array:
         """(m_b,) of the bounded entry in its constraint: -1 for lower, 1 for upper bounds."""
         return np.repeat([-1.0, 1.0], [len(self.lower), len(self.upper)])
 
-    @property
+    @cached_property
     def entries(self) -> Indices:
         """(m_b,) of w that the bounds are about."""
         return np.concatenate([self.lower, self.upper])
@@ -66,7 +66,8 @@ class Rows:
     def push(self, forces: Array, fixing: Array, n_w: int) -> Array:
         """Gradient (n_w,) of z . g over the bounds, and of nu . w_fixed."""
         net = np.zeros(n_w)
-        np.add.at(net, self.entries, self.signs * forces[: len(self.bounds)])
+        net[self.lower] -= forces[: len(self.lower)]
+        net[self.upper] += forces[len(self.lower) : len(self.bounds)]
         net[self.fixed] += fixing
         return net
 

@@ -86,8 +86,8 @@ class Derivatives:
 
     @cached_property
     def finite(self) -> bool:
-        """True if nothing holds NaN or infinity."""
-        parts = [self.cost_gradient, self.gradient, self.defects, self.rows, *self.matrices]
+        """True if no value and no first derivative is NaN or infinite."""
+        parts = (self.cost_gradient, self.gradient, self.defects, self.rows)
         return bool(np.isfinite(self.objective)) and all(np.isfinite(part).all() for part in parts)
 
     @cached_property
@@ -96,7 +96,15 @@ class Derivatives:
         parts = (self.defects, self.gap, self.off, self.rows + self.iterate.y)
         return float(sum(np.abs(part).sum() for part in parts))
 
-    @property
+    @cached_property
+    def _stationarity(self) -> float:
+        return largest(self.gradient)
+
+    @cached_property
+    def _feasibility(self) -> float:
+        return largest(np.concatenate([self.defects, self.gap, self.off, np.maximum(self.rows, 0.0)]))
+
+    @cached_property
     def scale(self) -> float:
         """What the residuals of stationarity and complementarity are relative to, as in `KKTResiduals`."""
         it = self.iterate
@@ -111,8 +119,8 @@ class Derivatives:
         """The first-order conditions at the iterate, with complementarity tau."""
         forces = self.iterate.z
         return KKTResiduals(
-            stationarity=largest(self.gradient),
-            feasibility=largest(np.concatenate([self.defects, self.gap, self.off, np.maximum(self.rows, 0.0)])),
+            stationarity=self._stationarity,
+            feasibility=self._feasibility,
             complementarity=largest(-self.rows * forces - tau),
             sign=0.0,  # z > 0 always
             scale=self.scale,
@@ -125,7 +133,7 @@ class Newton:
     def __init__(self, problem: OCP, s0: Array, psi: Array, context: Array) -> None:
         self.problem, self.s0, self.psi, self.context = problem, s0, psi, context
         functions = stages(problem)
-        self._values, self._second = Call(functions.values), Call(functions.second)
+        self._values, self._first, self._second = map(Call, (functions.values, functions.first, functions.second))
         self._step = Call(newton_step(problem))
         self._rows: Rows = rows(problem)
 
@@ -154,10 +162,12 @@ class Newton:
             y = np.maximum(y, np.minimum(tau / z, np.sqrt(tau)))
         return Iterate(states[0], w, multipliers.dynamics.ravel(), y, np.maximum(z, tau / y), nu[at.fixed])
 
-    def differentiate(self, at: Iterate) -> Derivatives:
-        """Everything that a Newton step needs."""
+    def differentiate(self, at: Iterate, matrices: bool = True) -> Derivatives:
+        """Everything that a Newton step needs, or without matrices what residuals need."""
         forces = at.z[len(self._rows.bounds) :]
-        outputs = self._second(*self._point(at.s0, at.w), self.psi, self.context, at.costates, forces)
+        outputs = (self._second if matrices else self._first)(
+            *self._point(at.s0, at.w), self.psi, self.context, at.costates, forces
+        )
         (objective,), defects, path, cost, cost_last, r, r_last = outputs[:7]
         return Derivatives(
             iterate=at,
@@ -247,6 +257,5 @@ class Newton:
 
 
 def _longest(value: Array, change: Array, share: float) -> float:
-    """The longest step in (0, 1] that keeps value + length * change at least (1 - share) value."""
-    shrinking = change < 0
-    return float(np.min(-share * value[shrinking] / change[shrinking], initial=1.0))
+    """The longest step in (0, 1] that keeps value + length * change at least (1 - share) value; value > 0."""
+    return min(1.0, share / max(float(np.max(-change / value, initial=0.0)), share))

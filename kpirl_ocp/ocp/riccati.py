@@ -21,6 +21,7 @@ from kpirl_ocp.types import KKTResiduals, Solution, Status
 
 _START = 0.1  # barrier parameter of a cold start, relative to the gradient of the objective there
 _WARM = 1e-6  # of a warm start
+_SOLVED = 100.0  # a barrier problem counts as solved when its residual is below this times tau, relative to the cost
 _SHORTEST = 1e-10  # step length below which a line search gives up
 _TINY = 1e-14  # relative step below which rounding decides, so that the step is taken as it is
 _FAR = 1e12  # |w| beyond which an iterate has diverged
@@ -98,29 +99,32 @@ class _Run:
                 return Status.DIVERGED
             self._tighten()
             if not self._search():
-                infeasible = self.at.residuals(self.solver.barrier).feasibility > self.tolerance**0.5
-                return Status.INFEASIBLE if infeasible else Status.STALLED
+                return self._why_stuck()
             self.iterations += 1
 
     def advance(self, steps: int) -> Status:
         """Full Newton steps, cut only where a slack or multiplier would become negative."""
-        for _ in range(steps):
-            if not self.at.finite:
-                return Status.NOT_FINITE
-            step = self._step(0.0)
+        for left in reversed(range(steps)):
+            step = self._step(0.0) if self.at.finite else None
             if step is None:
-                return Status.STALLED
-            self._move(step, step.primal_length)
+                return self._why_stuck() if self.at.finite else Status.NOT_FINITE
+            self._move(step, step.primal_length, last=not left)
             self.iterations += 1
         if not self.at.finite:
             return Status.NOT_FINITE
         done = self.at.residuals(self.solver.barrier).worst <= self.tolerance
         return Status.CONVERGED if done else Status.STEPS_TAKEN
 
+    def _why_stuck(self) -> Status:
+        if not all(np.isfinite(matrix).all() for matrix in self.at.matrices):
+            return Status.NOT_FINITE
+        violation = self.at.residuals(self.solver.barrier).feasibility
+        return Status.INFEASIBLE if violation > self.tolerance**0.5 else Status.STALLED
+
     def _tighten(self) -> None:
         """Lower tau when its own problem is solved (Waechter and Biegler, eq. 7)."""
         before = self.tau
-        while self.tau > self.final_tau and self.at.residuals(self.tau).worst <= 10 * self.tau:
+        while self.tau > self.final_tau and self.at.residuals(self.tau).worst <= _SOLVED * self.tau / self.at.scale:
             self.tau = max(self.final_tau, min(0.2 * self.tau, self.tau**1.5))
         if self.tau != before:
             self.filter = Filter.starting_at(self.at.violation)
@@ -155,9 +159,9 @@ class _Run:
             rho = max(100 * step.regularisation, 1e-4)
         return False
 
-    def _move(self, step: Step, length: float) -> None:
+    def _move(self, step: Step, length: float, last: bool = False) -> None:
         self.iterate = self.newton.centre(self.iterate.moved(step, length, step.dual_length), self.tau)
-        self.at = self.newton.differentiate(self.iterate)
+        self.at = self.newton.differentiate(self.iterate, matrices=not last)
 
     def solution(self, status: Status) -> Solution:
         """The record of this run."""
