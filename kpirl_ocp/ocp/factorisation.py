@@ -101,13 +101,13 @@ class Factorisation:
         weights = np.zeros(len(system.active))
         weights[system.active] = 1 / (_DEPENDENCE * lengths**2)
         factors, _ = self._factor(H, H_last, weights)
-        rows = system.constraints.multiply(1 / lengths[:, None]).tocsr()
+        C, transposed = system.constraints, system.transposed_constraints
 
         def inverse(b: Array) -> Array:
-            w, _ = self._back(rows.T @ b / _DEPENDENCE, np.zeros(len(system.defects)), factors)
-            return (b - rows @ w) / _DEPENDENCE
+            w, _ = self._back(transposed @ (b / lengths) / _DEPENDENCE, np.zeros(len(system.defects)), factors)
+            return (b - C @ w / lengths) / _DEPENDENCE
 
-        largest = lanczos(inverse, count, 2 * _PRODUCTS)[0][-1]
+        largest = lanczos(inverse, count, _PRODUCTS)[0][-1]
         return float(np.sqrt(max(1 / largest - _DEPENDENCE, 0.0)))
 
     def solve(
@@ -120,17 +120,19 @@ class Factorisation:
         `curvature` says why.
         """
         system = system or self._system
-        C = system.constraints
+        C, transposed = system.constraints, system.transposed_constraints
         w, costates, forces = np.zeros(len(right)), np.zeros(len(defects)), np.zeros(len(active))
         parts, best = (right, defects, active), np.inf
         result, error = (w, costates, forces), np.inf
         for _ in range(_REFINEMENTS):
             r, d, c = parts
             with np.errstate(all="ignore"):
-                dw, dcostates = self._back(r + C.T @ (self._stiffness * c), d)
+                dw, dcostates = self._back(r + transposed @ (self._stiffness * c), d)
                 w, costates = w + dw, costates + dcostates
                 forces = forces + self._stiffness * (C @ dw - c)
-                product = system.times_stiff_hessian(w) + system.times_transposed_jacobian(costates) + C.T @ forces
+                product = (
+                    system.times_stiff_hessian(w) + system.times_transposed_jacobian(costates) + transposed @ forces
+                )
                 parts = right - product, defects - system.times_jacobian(w), active - C @ w
                 error = self._error(parts, right, w)
             if not error < best:

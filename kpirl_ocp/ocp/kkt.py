@@ -159,9 +159,16 @@ class Inequalities:
 
     def jacobian(self, path_jacobian: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
         """Jacobian (n_ineq, n_w) of the constraint values -slack, from that of the path constraints (T n_h, n_w)."""
-        identity = scipy.sparse.identity(path_jacobian.shape[1], format="csr")
-        parts = [-identity[self.lower], identity[self.upper], path_jacobian]
-        return scipy.sparse.vstack(parts, format="csr")
+        entries = np.concatenate([self.lower, self.upper])
+        signs = np.repeat([-1.0, 1.0], [len(self.lower), len(self.upper)])
+        return scipy.sparse.csr_matrix(
+            (
+                np.concatenate([signs, path_jacobian.data]),
+                np.concatenate([entries, path_jacobian.indices]),
+                np.concatenate([np.arange(len(entries)), len(entries) + path_jacobian.indptr]),
+            ),
+            (len(entries) + path_jacobian.shape[0], path_jacobian.shape[1]),
+        )
 
 
 def audit(

@@ -67,7 +67,7 @@ def _newton(instance: Instance, system: KKTSystem, factors: Factorisation) -> tu
         with np.errstate(divide="ignore"):
             forces = np.where(system.equal, forces, instance.barrier / system.slack)
     path = np.arange(len(forces)) >= len(forces) - len(instance.path_forces(forces))
-    unbalanced = system.gradient + system.rows.T @ (forces - np.where(path, point.forces, 0.0))
+    unbalanced = system.gradient + system.transposed_rows @ (forces - np.where(path, point.forces, 0.0))
     dw, costates, pushes, _ = factors.solve(-unbalanced, -system.defects, system.slack[active])
     forces, slack = forces + scatter(active, pushes), system.slack - system.rows @ dw
     margins = np.where(active, forces, slack)[~system.equal]

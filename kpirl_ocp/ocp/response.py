@@ -74,7 +74,7 @@ class Response:
         ddefects = ddefects + (x[:, None, :] @ system.F).ravel()
         dpath = dpath + (x[:, None, :] @ system.G).ravel()
         values = np.concatenate([np.zeros(len(system.active) - len(dpath)), dpath])  # change of all inequalities
-        right = -system.flat(dr, dr_last) - system.rows.T @ (system.stiffness * values)
+        right = -system.flat(dr, dr_last) - system.transposed_rows @ (system.stiffness * values)
         w = self.factors.solve(right, -ddefects, -values[system.active])[0]
         states = np.concatenate([ds0, w[: len(ddefects)]]).reshape(problem.horizon + 1, n_s)
         return Trajectory(states, w[len(ddefects) :].reshape(problem.horizon, -1))

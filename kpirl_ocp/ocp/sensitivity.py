@@ -12,7 +12,7 @@ instead, with mu = tau / slack; only equalities (coinciding bounds) stay in C.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy.sparse
@@ -21,7 +21,7 @@ from kpirl_ocp.ocp.calls import Call
 from kpirl_ocp.ocp.kkt import NLP, Inequalities, pack, transcribe
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.stages import Stages, by_time, stages
-from kpirl_ocp.types import Array, Mask, Solution
+from kpirl_ocp.types import Array, Indices, Mask, Solution
 
 
 @dataclass(frozen=True)
@@ -105,6 +105,16 @@ class KKTSystem:
         return self.rows[np.flatnonzero(self.active)]
 
     @cached_property
+    def transposed_constraints(self) -> scipy.sparse.csr_matrix:
+        """C' (n_w, n_active)."""
+        return self.constraints.T.tocsr()
+
+    @cached_property
+    def transposed_rows(self) -> scipy.sparse.csr_matrix:
+        """(n_w, n_ineq)."""
+        return self.rows.T.tocsr()
+
+    @cached_property
     def only_actions(self) -> bool:
         """True if every active row bounds an action."""
         first = len(self.active) - self.G.shape[0] * self.G.shape[2]  # path constraint
@@ -115,10 +125,14 @@ class KKTSystem:
         (steps, _, n_h), n_x, n_s = self.G.shape, H.shape[1], len(H_last)
         split = len(weights) - steps * n_h
         bounds, path = weights[:split], weights[split:].reshape(steps, 1, n_h)
-        diagonal, last = self.by_stage(self.rows[:split].power(2).T @ bounds)
+        diagonal, last = self.by_stage(self._add_bounds(bounds))
         result = H + (self.G * path) @ self.G.transpose(0, 2, 1) if n_h else H.copy()
         result[:, np.arange(n_x), np.arange(n_x)] += diagonal
         return result, H_last + np.diag(last)
+
+    def _add_bounds(self, weights: Array) -> Array:
+        """Sum (n_w,) of the weights of all bounds on an entry of w."""
+        return np.bincount(self.rows.indices[: len(weights)], weights, self.rows.shape[1])
 
     def row_variances(self, covariance: Array, last: Array) -> Array:
         """row . Cov . row (n_ineq,) for covariances of x_t (T, n_x, n_x) and of s_T (n_s, n_s)."""
@@ -159,7 +173,9 @@ class KKTSystem:
 
     def times_stiff_hessian(self, w: Array) -> Array:
         """(H + rows' stiffness rows) w (n_w,)."""
-        return self.times_hessian(w) + self.rows.T @ (self.stiffness * (self.rows @ w))
+        if self.instance.barrier == 0:
+            return self.times_hessian(w)
+        return self.times_hessian(w) + self.transposed_rows @ (self.stiffness * (self.rows @ w))
 
 
 def primal_dual(instance: Instance, solution: Solution) -> tuple[PrimalDual, Mask]:
@@ -207,16 +223,23 @@ def linearise(instance: Instance, point: PrimalDual, active: Mask) -> KKTSystem:
 
 def _path_jacobian(problem: OCP, G: Array) -> scipy.sparse.csr_matrix:
     """Jacobian of the path constraints (T n_h, n_w) from its transposed blocks (T, n_x, n_h)."""
+    kept, columns, starts = _path_pattern(problem)
+    values = G.transpose(0, 2, 1).ravel()[kept]
+    shape = (len(starts) - 1, problem.horizon * (problem.n_states + problem.n_actions))
+    return scipy.sparse.csr_matrix((values, columns, starts), shape)
+
+
+@lru_cache(maxsize=64)
+def _path_pattern(problem: OCP) -> tuple[Indices, Indices, Indices]:
+    """Which entries of the blocks (T, n_h, n_x) are in the Jacobian, their columns in w, and where its rows start."""
     steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
     columns = np.full((steps, n_s + n_u), -1)  # where x_t is in w; s_0 is not
     columns[1:, :n_s] = np.arange((steps - 1) * n_s).reshape(steps - 1, n_s)
     columns[:, n_s:] = steps * n_s + np.arange(steps * n_u).reshape(steps, n_u)
-    values = G.transpose(0, 2, 1).reshape(steps * problem.n_path, n_s + n_u)
-    where = np.repeat(columns, problem.n_path, axis=0)
-    kept = where >= 0
-    row = np.broadcast_to(np.arange(len(values))[:, None], values.shape)
-    shape = (len(values), steps * (n_s + n_u))
-    return scipy.sparse.csr_matrix((values[kept], (row[kept], where[kept])), shape)
+    by_row = np.repeat(columns, problem.n_path, axis=0)  # (T n_h, n_x)
+    starts = np.concatenate([[0], np.cumsum((by_row >= 0).sum(axis=1))])
+    kept = np.flatnonzero(by_row.ravel() >= 0)
+    return kept, by_row.ravel()[kept], starts
 
 
 def scatter(active: Mask, values: Array) -> Array:
