@@ -5,7 +5,8 @@ theorem gives
 
     dL/dpsi = -vbar . dF/dpsi,    (dF/dv) vbar = (dL/dw, 0, 0),
 
-one adjoint solve with the symmetric KKT matrix (`kpirl_ocp.ocp.sensitivity`), however many parameters there are.
+one adjoint solve with the symmetric KKT matrix, however many parameters there are. It is a backward and a forward
+sweep over the stages (`kpirl_ocp.ocp.response`): O(T) in time and memory.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from kpirl_ocp.ocp.probe import Probe, probe
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.response import Response
 from kpirl_ocp.ocp.sensitivity import Instance, linearise, primal_dual
-from kpirl_ocp.ocp.solver import Guess, Solver
+from kpirl_ocp.ocp.solver import BarrierSolver, Guess, Solver
 from kpirl_ocp.types import Demonstration, Mask, Solution, Status
 
 # What a certified gradient needs. Every bound sits well above what rounding and a solver tolerance of 1e-10 leave
@@ -76,7 +77,7 @@ class ImplicitCertificate(Certificate):
 class Implicit:
     """The gradient of the loss at the solution of the OCP.
 
-    solver: any solver; the policy "smooth" needs one that can solve the smoothed problem (Ipopt).
+    solver: any solver; the policy "smooth" needs one that can solve the smoothed problem (Riccati, Ipopt).
     policy: what to do with a gradient that is not certified: "raise" CertificateError, "flag" it in the certificate;
         "smooth" solves and differentiates the smoothed problem instead, always, so that loss and gradient agree.
     barrier: tau of "smooth"; the smoothed loss differs from the loss by O(tau), or by O(sqrt(tau)) where a
@@ -90,15 +91,17 @@ class Implicit:
 
     def __post_init__(self) -> None:
         check_policy(self.policy, ("raise", "flag", "smooth"))
-        if self.policy == "smooth" and not (isinstance(self.solver, Ipopt) and self.barrier > 0):
-            raise ProblemError("policy='smooth' needs barrier > 0 and a solver for the smoothed problem: Ipopt().")
+        if self.policy == "smooth" and not (isinstance(self.solver, BarrierSolver) and self.barrier > 0):
+            raise ProblemError(
+                "policy='smooth' needs barrier > 0 and a solver for the smoothed problem: Riccati() or Ipopt()."
+            )
 
     def __call__(
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
         """See `Hypergradient`."""
         solver: Solver = self.solver
-        if self.policy == "smooth" and isinstance(solver, Ipopt):
+        if self.policy == "smooth" and isinstance(solver, BarrierSolver):
             solver = solver.with_barrier(self.barrier)
         solution = solver.solve(problem, demonstration.s0, psi, demonstration.context, guess)
         return enforce(self.policy, differentiate(problem, demonstration, psi, solution, self.loss))

@@ -46,7 +46,7 @@ class Factorisation:
         self._scale = float(np.abs(extremes).max())
         self._units = np.where(self._lengths > 0, self._lengths, 1.0)
         self._stiffness = (self._scale or 1.0) / (_DELTA * self._units**2)
-        rows, weights = system.rows, system.stiffness.copy()
+        weights = system.stiffness.copy()
         weights[system.active] += self._stiffness
         self._factors, self._pivots = self._factor(system.H, system.H_last, weights)
 

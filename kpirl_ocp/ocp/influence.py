@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -18,7 +19,7 @@ import numpy as np
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.stages import stages
 
-Symbol = ca.SX | ca.MX
+Symbol: TypeAlias = "ca.SX | ca.MX"
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,5 +124,11 @@ def _dynamics(problem: OCP) -> ca.Function:
 def _inputs(problem: OCP, function: ca.Function, actions: int) -> list[Symbol]:
     """Symbols s, u, psi, c, d of the kind that a function works in."""
     kind = ca.SX if function.is_a("SXFunction") else ca.MX
-    lengths = (problem.n_states, actions, problem.n_parameters, problem.n_context, np.shape(problem.schedule)[1])
+    lengths = (
+        problem.n_states,
+        actions,
+        problem.n_parameters,
+        problem.n_context,
+        np.asarray(problem.schedule).shape[1],
+    )
     return [kind.sym(name, length) for name, length in zip(("s", "u", "psi", "c", "d"), lengths, strict=True)]

@@ -91,9 +91,9 @@ def rows(problem: OCP) -> Rows:
 
 @lru_cache(maxsize=64)
 def newton_step(problem: OCP) -> ca.Function:
-    """The step, compiled as the problem's `Stages` are: (ds (n_s, T+1), du (n_u, T), dlambda (n_s, T), dy (m,), dz (m,), dnu) and the pivots (n_u, T).
+    """The step (ds (n_s, T+1), du (n_u, T), dlambda (n_s, T), dy (m,), dz (m,), dnu) and the pivots (n_u, T).
 
-    Of (r, r_T, defects, F, G, H, H_T) of `Stages.second`, g (m,), the violation of fixed entries, the gap in s_0,
+    Compiled as the problem's `Stages` are. A function of (r, r_T, defects, F, G, H, H_T) of `Stages.second`, g (m,), the violation of fixed entries, the gap in s_0,
     y, z, nu, tau and rho.
     """
     steps, n_s, n_u, n_x = problem.horizon, problem.n_states, problem.n_actions, problem.n_states + problem.n_actions

@@ -2,8 +2,8 @@
 
     w = (s_1 .. s_T, u_0 .. u_{T-1}),   Lagrangian(w) = J + lambda . (f(s, u) - s_next) + mu . h + nu . w
 
-with bounds on w whose multipliers nu are positive at an upper and negative at a lower bound. Everything that needs the
-optimality conditions (Ipopt, the audit of a solution, the implicit gradient) reads them from here.
+with bounds on w whose multipliers nu are positive at an upper and negative at a lower bound. Ipopt and the audit of a
+solution read the optimality conditions from here; `kpirl_ocp.ocp.stages` has them stage by stage.
 """
 
 from __future__ import annotations
@@ -25,16 +25,11 @@ class NLP:
 
     n_w = T n_s + T n_u. values: -> objective, defects (T n_s,), path constraints (T n_h,).
     first: also (lambda, mu) -> gradient of J, gradient of J + lambda.defects + mu.path with respect to w.
-    second: also (lambda, mu) -> Hessian of that Lagrangian, Jacobian of the defects, Jacobian of the path constraints.
-    cross: also (lambda, mu, dw, dlambda, dmu) -> gradient with respect to psi of
-        dw . grad_w Lagrangian + dlambda . defects + dmu . path.
     """
 
     symbols: dict[str, ca.MX]
     values: ca.Function
     first: ca.Function
-    second: ca.Function
-    cross: ca.Function
     lower: Array
     upper: Array
     n_defects: int
@@ -60,18 +55,12 @@ def transcribe(problem: OCP) -> NLP:
 
     lam, mu = ca.MX.sym("lam", defects.numel()), ca.MX.sym("mu", path.numel())
     lagrangian = objective + ca.dot(lam, defects) + ca.dot(mu, path)
-    hessian, gradient = ca.hessian(lagrangian, w)
-    dw, dlam, dmu = ca.MX.sym("dw", w.numel()), ca.MX.sym("dlam", lam.numel()), ca.MX.sym("dmu", mu.numel())
-    moved = ca.dot(dw, gradient) + ca.dot(dlam, defects) + ca.dot(dmu, path)
-
     point = [w, s0, psi, context]
     bounds = [np.concatenate([np.tile(s, steps), np.tile(u, steps)]) for s, u in _bound_pairs(problem)]
     return NLP(
         symbols={"w": w, "p": ca.vertcat(s0, psi, context), "s0": s0, "psi": psi, "c": context},
         values=ca.Function("values", point, [objective, defects, path]),
-        first=ca.Function("first", [*point, lam, mu], [ca.gradient(objective, w), gradient]),
-        second=ca.Function("second", [*point, lam, mu], [hessian, ca.jacobian(defects, w), ca.jacobian(path, w)]),
-        cross=ca.Function("cross", [*point, lam, mu, dw, dlam, dmu], [ca.gradient(moved, psi)]),
+        first=ca.Function("first", [*point, lam, mu], [ca.gradient(objective, w), ca.gradient(lagrangian, w)]),
         lower=bounds[0],
         upper=bounds[1],
         n_defects=defects.numel(),

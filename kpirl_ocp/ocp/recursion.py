@@ -85,7 +85,7 @@ def _reversed(x: ca.MX, width: int) -> ca.MX:
 
 @lru_cache(maxsize=512)
 def _reversal(rows: int, width: int, count: int) -> ca.Function:
-    """Reversal in groups of groups: its C code grows with the logarithm of the count, where gcc is slow on long code."""
+    """Reversal in groups of groups: short C code, where a long list would keep the compiler busy."""
     x = ca.MX.sym("x", rows, width * count)
     group = 1 if count <= 10 else -(-count // 10)
     parts = ca.horzsplit(x, group * width)

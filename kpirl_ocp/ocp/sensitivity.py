@@ -122,7 +122,7 @@ class KKTSystem:
 
     def with_rows(self, H: Array, H_last: Array, weights: Array) -> tuple[Array, Array]:
         """H + rows' diag(weights) rows, as blocks (T, n_x, n_x) and (n_s, n_s); weights (n_ineq,)."""
-        (steps, _, n_h), n_x, n_s = self.G.shape, H.shape[1], len(H_last)
+        (steps, _, n_h), n_x = self.G.shape, H.shape[1]
         split = len(weights) - steps * n_h
         bounds, path = weights[:split], weights[split:].reshape(steps, 1, n_h)
         diagonal, last = self.by_stage(self._add_bounds(bounds))
@@ -132,7 +132,7 @@ class KKTSystem:
 
     def _add_bounds(self, weights: Array) -> Array:
         """Sum (n_w,) of the weights of all bounds on an entry of w."""
-        return np.bincount(self.rows.indices[: len(weights)], weights, self.rows.shape[1])
+        return np.bincount(self.rows.indices[: len(weights)], weights, self.rows.shape[1]).astype(float)
 
     def row_variances(self, covariance: Array, last: Array) -> Array:
         """row . Cov . row (n_ineq,) for covariances of x_t (T, n_x, n_x) and of s_T (n_s, n_s)."""

@@ -33,7 +33,7 @@ class Stages:
     """Functions of a point: S (n_s, T+1), U (n_u, T), psi, c.
 
     values: -> J, defects f - s_next (n_s, T), path constraints h (n_h, T).
-    first: also (Lambda (n_s, T), M (n_h, T)) -> the values, gradient of J (n_x, T) and (n_s,), r (n_x, T) and r_T (n_s,).
+    first: also (Lambda (n_s, T), M (n_h, T)) -> the values, gradient of J (n_x, T) and (n_s,), r (n_x, T), r_T (n_s,).
     second: the same -> the outputs of `first`, then F, G, H and H_T (n_s, n_s).
     compile: what was done to these functions and is right for others of this problem: compiled, or left as they are.
     """
