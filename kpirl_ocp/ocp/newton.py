@@ -200,7 +200,7 @@ class Newton:
             primal_length=_longest(it.y, dy, share),
             dual_length=_longest(it.z, dz, share),
             regularisation=regularisation,
-            positive=bool((pivots > 0).all()) and bool(np.isfinite(du).all()),
+            positive=bool(((pivots > 0) & (pivots < np.inf)).all() and np.isfinite(du).all()),
         )
 
     def measure(self, at: Iterate, tau: float) -> tuple[float, float]:

@@ -23,6 +23,7 @@ from kpirl_ocp.types import KKTResiduals, Solution, Status
 _START = 0.1  # barrier parameter of a cold start, relative to the gradient of the objective there
 _WARM = 1e-6  # of a warm start
 _SOLVED = 100.0  # a barrier problem counts as solved when its residual is below this times tau, relative to the cost
+_LARGE = 100.0  # multipliers above this count as large, as in Ipopt
 _SHORTEST = 1e-10  # step length below which a line search gives up
 _TINY = 1e-14  # relative step below which rounding decides, so that the step is taken as it is
 _FAR = 1e12  # |w| beyond which an iterate has diverged
@@ -78,7 +79,7 @@ class _Run:
 
     def __init__(self, solver: Riccati, newton: Newton, iterate: Iterate, tau: float) -> None:
         self.solver, self.newton, self.iterate = solver, newton, iterate
-        self.tau, self.final_tau = tau, solver.barrier or solver.tolerance / 10
+        self.tau = tau
         self.tolerance = solver.tolerance
         if solver.barrier > 0:  # the tolerance bounds multiplier * slack - tau: it has to be small beside tau
             self.tolerance = min(solver.tolerance, max(1e-6 * solver.barrier, 1e-13))
@@ -92,13 +93,13 @@ class _Run:
         while True:
             if not self.at.finite:
                 return Status.NOT_FINITE
-            if self.at.residuals(self.solver.barrier).worst <= self.tolerance:
+            self._tighten()
+            if self._solved:
                 return Status.CONVERGED
             if self.iterations == self.solver.max_iterations:
                 return Status.ITERATION_LIMIT
             if largest(self.iterate.w) > _FAR:
                 return Status.DIVERGED
-            self._tighten()
             if not self._search():
                 return self._why_stuck()
             self.iterations += 1
@@ -113,8 +114,7 @@ class _Run:
             self.iterations += 1
         if not self.at.finite:
             return Status.NOT_FINITE
-        done = self.at.residuals(self.solver.barrier).worst <= self.tolerance
-        return Status.CONVERGED if done else Status.STEPS_TAKEN
+        return Status.CONVERGED if self._solved else Status.STEPS_TAKEN
 
     def _why_stuck(self) -> Status:
         if not all(np.isfinite(matrix).all() for matrix in self.at.matrices):
@@ -122,11 +122,25 @@ class _Run:
         violation = self.at.residuals(self.solver.barrier).feasibility
         return Status.INFEASIBLE if violation > self.tolerance**0.5 else Status.STALLED
 
+    @property
+    def _solved(self) -> bool:
+        """Do the conditions hold, and complementarity as if multipliers were at most `_LARGE`?
+
+        Relative to larger multipliers alone, the weakest of the active constraints would stay too far from its bound.
+        """
+        found = self.at.residuals(self.solver.barrier)
+        return found.worst <= self.tolerance and found.complementarity <= 10 * self._final_tau
+
+    @property
+    def _final_tau(self) -> float:
+        """The barrier to stop at: a tenth of the tolerance, in units of the multipliers where these are large."""
+        return self.solver.barrier or self.solver.tolerance / 10 * max(1.0, self.at.scale / _LARGE)
+
     def _tighten(self) -> None:
         """Lower tau when its own problem is solved (Waechter and Biegler, eq. 7)."""
-        before = self.tau
-        while self.tau > self.final_tau and self.at.residuals(self.tau).worst <= _SOLVED * self.tau / self.at.scale:
-            self.tau = max(self.final_tau, min(0.2 * self.tau, self.tau**1.5))
+        before, final = self.tau, self._final_tau
+        while self.tau > final and self.at.residuals(self.tau).worst <= _SOLVED * self.tau / self.at.scale:
+            self.tau = max(final, min(0.2 * self.tau, self.tau**1.5))
         if self.tau != before:
             self.filter = Filter.starting_at(self.at.violation)
 
