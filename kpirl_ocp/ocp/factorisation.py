@@ -25,7 +25,7 @@ _DELTA = 1e-8  # balances the rounding of the recursion, 1e-16 / delta, against 
 _DEPENDENCE = 1e-11  # delta of `qualification`: singular values are known to its square root
 _REFINEMENTS = 12
 _PRODUCTS = 12  # Lanczos steps
-_EXACT = 1e-14  # relative residual at which refinement stops
+_EXACT = 1e-13  # relative residual at which refinement stops
 
 
 class Factorisation:
@@ -120,25 +120,25 @@ class Factorisation:
         `curvature` says why.
         """
         system = system or self._system
-        C, transposed = system.constraints, system.transposed_constraints
+        own, C, transposed = self._system, system.constraints, system.transposed_constraints
         w, costates, forces = np.zeros(len(right)), np.zeros(len(defects)), np.zeros(len(active))
         parts, best = (right, defects, active), np.inf
         result, error = (w, costates, forces), np.inf
         for _ in range(_REFINEMENTS):
             r, d, c = parts
             with np.errstate(all="ignore"):
-                dw, dcostates = self._back(r + transposed @ (self._stiffness * c), d)
+                dw, dcostates = self._back(r + own.transposed_constraints @ (self._stiffness * c), d)
                 w, costates = w + dw, costates + dcostates
-                forces = forces + self._stiffness * (C @ dw - c)
+                forces = forces + self._stiffness * (own.constraints @ dw - c)
                 product = (
                     system.times_stiff_hessian(w) + system.times_transposed_jacobian(costates) + transposed @ forces
                 )
                 parts = right - product, defects - system.times_jacobian(w), active - C @ w
                 error = self._error(parts, right, w)
-            if not error < best:
-                break
-            best, result = error, (w, costates, forces)
-            if error <= _EXACT:
+            stalled = not error < best / 10
+            if error < best:
+                best, result = error, (w, costates, forces)
+            if stalled or error <= _EXACT:
                 break
         return (*(result if np.isfinite(best) else (w, costates, forces)), best)
 
