@@ -20,9 +20,9 @@ from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.solver import Guess
 from kpirl_ocp.types import KKTResiduals, Solution, Status
 
-_START = 0.1  # barrier parameter of a cold start, relative to the gradient of the objective there
+_START = 0.3  # barrier parameter of a cold start, relative to the gradient of the objective there
 _WARM = 1e-6  # of a warm start
-_SOLVED = 100.0  # a barrier problem counts as solved when its residual is below this times tau, relative to the cost
+_SOLVED = 30.0  # a barrier problem counts as solved when its residual is below this times tau, relative to the cost
 _LARGE = 100.0  # multipliers above this count as large, as in Ipopt
 _SHORTEST = 1e-10  # step length below which a line search gives up
 _TINY = 1e-14  # relative step below which rounding decides, so that the step is taken as it is
