@@ -6,6 +6,7 @@ The closed forms of the scalar LQR are written in numpy; `derivatives` asks CasA
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -23,8 +24,8 @@ __all__ = [
     "free",
     "iiwa",
     "integrator",
-    "lqr",
     "limited_iiwa",
+    "lqr",
     "lqr_gradient",
     "network",
     "nothing_to_learn",
@@ -99,7 +100,7 @@ def network(activation: str, horizon: int = 8) -> Case:
     """Keypoint dynamics of a random network: s = (4 coordinates, 3 joints, 3 velocities), u moves the joints."""
     rng = np.random.default_rng(3)
     sizes = (13, 20, 8, 4)
-    weights = [rng.normal(size=(m, n)) / np.sqrt(n) for n, m in zip(sizes[:-1], sizes[1:], strict=True)]
+    weights = [rng.normal(size=(m, n)) / np.sqrt(n) for n, m in pairwise(sizes)]
     biases = [0.1 * rng.normal(size=n) for n in sizes[1:]]
     s, u, psi, goal = ca.MX.sym("s", 10), ca.MX.sym("u", 3), ca.MX.sym("psi", 5), ca.MX.sym("goal", 4)
     x = ca.vertcat(s, u)

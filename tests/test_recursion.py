@@ -1,9 +1,18 @@
 """The Riccati recursion against one dense solve of the same linear-quadratic problem."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
 from kpirl_ocp.ocp.recursion import condense, factorise, substitute
+
+
+class Sizes(NamedTuple):
+    n_states: int
+    n_actions: int
+    horizon: int
+
 
 RNG = np.random.default_rng(0)
 
@@ -55,8 +64,8 @@ def side_by_side(blocks):
 @pytest.mark.parametrize(("n", "m", "steps"), [(1, 1, 1), (3, 2, 7), (4, 1, 23), (2, 3, 101)])
 def test_recursion_equals_the_dense_solve_also_at_a_saddle(n, m, steps, curvature):
     F, H, H_last, q, q_last, d, s0 = data = lq(n, m, steps, curvature)
-    P, W, Y, pivots = factorise(n, m, steps)(side_by_side(F), side_by_side(H), H_last)
-    found = substitute(n, m, steps)(side_by_side(F), P, W, Y, pivots, q.T, q_last, d.T, s0)
+    P, W, Y, pivots = factorise(Sizes(n, m, steps))(side_by_side(F), side_by_side(H), H_last)
+    found = substitute(Sizes(n, m, steps))(side_by_side(F), P, W, Y, pivots, q.T, q_last, d.T, s0)
     states, actions, costates, condensed = dense(*data)
     for value, expected in zip(found, (states, actions, costates), strict=True):
         np.testing.assert_allclose(np.array(value).T, expected, rtol=0, atol=1e-9 * max(1, np.abs(expected).max()))
@@ -69,6 +78,6 @@ def test_condensed_product_equals_the_dense_matrix():
     n, m, steps = 3, 2, 13
     F, H, H_last, *_ = data = lq(n, m, steps)
     u = RNG.normal(size=(m, steps))
-    found = condense(n, m, steps)(side_by_side(F), side_by_side(H), H_last, u)
+    found = condense(Sizes(n, m, steps))(side_by_side(F), side_by_side(H), H_last, u)
     expected = dense(*data)[3] @ u.T.ravel()
     np.testing.assert_allclose(np.array(found).T.ravel(), expected, rtol=0, atol=1e-12 * np.abs(expected).max())

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,8 @@ from problems import TABLE, integrator, network, swing_up
 from kpirl_ocp import OCP, Fatrop, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.kkt import audit
+from kpirl_ocp.ocp.newton import Newton
+from kpirl_ocp.ocp.real_time import real_time_step
 
 SOLVERS = {"riccati": (Riccati(), 1e-8, 1e-6), "fatrop": (Fatrop(), 1e-6, 1e-4)}  # solver, objective, multipliers
 
@@ -81,7 +84,7 @@ def test_real_time_iterations_are_newton_steps_that_converge_quadratically(name)
         np.testing.assert_allclose(guess.states[0], 1.02 * np.asarray(s0), rtol=1e-15)
         residuals.append(guess.residuals.worst)
     assert residuals[0] < 1e-2
-    assert all(after <= max(10 * before**2, 1e-14) for before, after in zip(residuals[:-1], residuals[1:], strict=True))
+    assert all(after <= max(10 * before**2, 1e-14) for before, after in pairwise(residuals))
 
 
 def test_real_time_iterations_track_a_moving_start_close_to_the_solutions():
@@ -190,3 +193,20 @@ def test_swing_up_is_found_from_rest_by_a_step_that_needs_regularisation():
     found = Riccati().solve(case.problem, case.demonstration.s0, case.psi, case.demonstration.context)
     assert found.status is Status.CONVERGED
     assert found.states[-1, 0] == pytest.approx(np.pi, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["lqr", "integrator", "tanh network"])
+def test_real_time_step_as_one_function_does_what_the_solver_does(name):
+    problem, s0, psi, context = given(name)
+    tau, start = 1e-4, 1.01 * np.asarray(s0)
+    guess = Riccati(barrier=tau).solve(problem, s0, psi, context)
+    expected = Riccati(steps=1, barrier=tau).solve(problem, start, psi, context, guess=guess)
+    it = Newton(problem, start, np.asarray(psi), np.asarray(context)).resume(guess, tau)
+    arguments = [guess.states.T, guess.actions.T, guess.multipliers.dynamics.T, it.y, it.z, it.nu]
+    S, U, costates, y, z, _, pivot = real_time_step(problem)(*arguments, start, psi, context, tau, 0.0)
+    np.testing.assert_allclose(np.array(S).T, expected.states, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.array(U).T, expected.actions, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.array(costates).T, expected.multipliers.dynamics, rtol=0, atol=1e-10)
+    assert float(pivot) > 0
+    assert (np.array(y) > 0).all()
+    assert (np.array(z) > 0).all()

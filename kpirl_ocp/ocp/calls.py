@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
+from kpirl_ocp.ocp.native import compiled
+from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.types import Array
+
+# T n_x^2 from which machine code saves more than the seconds that the compiler takes: smaller problems are solved in
+# milliseconds by CasADi's virtual machine.
+_WORTH_COMPILING = 5000
 
 
 class Call:
@@ -32,6 +39,17 @@ class Call:
             self._buffer.set_res(i, array.data)
         self._evaluate()
         return outputs
+
+
+def call(problem: OCP, build: Callable[[OCP], ca.Function]) -> Call:
+    """The function `build(problem)`, ready to be called: compiled, unless the problem is too small to repay it."""
+    return Call(_native(problem, build))
+
+
+@lru_cache(maxsize=512)
+def _native(problem: OCP, build: Callable[[OCP], ca.Function]) -> ca.Function:
+    size = problem.horizon * (problem.n_states + problem.n_actions) ** 2
+    return compiled(build(problem)) if size > _WORTH_COMPILING else build(problem)
 
 
 @lru_cache(maxsize=512)

@@ -8,17 +8,14 @@ dynamics when the Hessian is on the null space of the active rows, and by more t
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.calls import Call
-from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.calls import call
 from kpirl_ocp.ocp.recursion import condense, factorise, substitute
 from kpirl_ocp.ocp.sensitivity import KKTSystem
 from kpirl_ocp.ocp.spectrum import lanczos
-from kpirl_ocp.ocp.stages import stages
 from kpirl_ocp.types import Array
 
 _DELTA = 1e-8  # balances the rounding of the recursion, 1e-16 / delta, against the rate of the refinement
@@ -39,7 +36,8 @@ class Factorisation:
 
     def __init__(self, system: KKTSystem) -> None:
         problem = system.instance.problem
-        self._factorise, self._substitute, self._condense = map(Call, _recursions(problem))
+        functions = (factorise, substitute, condense)
+        self._factorise, self._substitute, self._condense = (call(problem, build) for build in functions)
         self._system, self._n_actions = system, problem.horizon * problem.n_actions
         self._lengths = _row_lengths(system)
         extremes = lanczos(self._times_condensed, self._n_actions, _PRODUCTS)[0]
@@ -172,13 +170,6 @@ class Factorisation:
         """Z' H Z u (T n_u,), without stiffness."""
         system = self._system
         return self._condense(system.F.ravel(), system.H.ravel(), system.H_last.ravel(), u)[0]
-
-
-@lru_cache(maxsize=64)
-def _recursions(problem: OCP) -> tuple[ca.Function, ...]:
-    """`factorise`, `substitute` and `condense` in the problem's dimensions, compiled as its `Stages` are."""
-    sizes = problem.n_states, problem.n_actions, problem.horizon
-    return tuple(stages(problem).compile(make(*sizes)) for make in (factorise, substitute, condense))
 
 
 def _row_lengths(system: KKTSystem) -> Array:

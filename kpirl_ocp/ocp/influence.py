@@ -4,12 +4,11 @@ With the Lagrangian L_t(x_t; p) = l + lambda . f + mu . h of a stage and p = (ps
 
     d/dp sum_t  dx_t . grad_x L_t + dlambda_t . f + dmu_t . h      (and dx_T . grad l_T at the end),
 
-and `push` the changes of grad_x L_t, f and h along dp. What does not depend on p costs nothing.
+and `push` the changes of grad_x L_t, f and h along dp. Points are S, U, psi, c, Lambda, M as in `stages.first`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -17,68 +16,64 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.stages import stages
 
 Symbol: TypeAlias = "ca.SX | ca.MX"
 
 
-@dataclass(frozen=True, eq=False)
-class Influence:
-    """Functions of a point S, U, psi, c, Lambda, M as in `Stages`.
-
-    pull: also (dX (n_x, T), ds_T (n_s,), dLambda (n_s, T), dM (n_h, T)) -> gradients (n_psi,) and (n_c,).
-    push: also (dpsi, dc) -> dr (n_x, T), dr_T (n_s,), ddefects (n_s, T), dh (n_h, T).
-    """
-
-    pull: ca.Function
-    push: ca.Function
+@lru_cache(maxsize=64)
+def pull(problem: OCP) -> ca.Function:
+    """(S, U, psi, c, Lambda, M, dX (n_x, T), ds_T (n_s,), dLambda (n_s, T), dM (n_h, T)) -> by psi, by c."""
+    steps, n_s = problem.horizon, problem.n_states
+    at, stage, final = _points(problem)
+    dX, last = ca.MX.sym("dX", n_s + problem.n_actions, steps), ca.MX.sym("ds_T", n_s)
+    dcostates, dforces = ca.MX.sym("dLambda", n_s, steps), ca.MX.sym("dM", problem.n_path, steps)
+    changes = {"cost": ca.DM.zeros(1, steps), "path": dforces, "dynamics": dcostates}
+    by_psi, by_context = _pull(_terminal(problem))(*final, 1, last, 0)
+    for name, function, weights in _terms(problem, *at[4:]):
+        pulled = _pull(function).map(steps)(*stage, weights, dX, changes[name])
+        by_psi, by_context = by_psi + ca.sum2(pulled[0]), by_context + ca.sum2(pulled[1])
+    outputs = [ca.densify(x) for x in (by_psi, by_context)]
+    return ca.Function("pull", [*at, dX, last, dcostates, dforces], outputs)
 
 
 @lru_cache(maxsize=64)
-def influence(problem: OCP) -> Influence:
-    """The functions of a problem; cached, and compiled as its `Stages` are."""
-    steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
-    states, actions = ca.MX.sym("S", n_s, steps + 1), ca.MX.sym("U", n_u, steps)
+def push(problem: OCP) -> ca.Function:
+    """(S, U, psi, c, Lambda, M, dpsi, dc) -> dr (n_x, T), dr_T (n_s,), ddefects (n_s, T), dh (n_h, T)."""
+    steps, n_s = problem.horizon, problem.n_states
+    at, stage, final = _points(problem)
+    directions = [ca.MX.sym("dpsi", problem.n_parameters), ca.MX.sym("dc", problem.n_context)]
+    slopes: ca.MX = ca.MX.zeros(n_s + problem.n_actions, steps)
+    values = {"path": ca.MX(problem.n_path, steps), "dynamics": ca.MX(n_s, steps)}
+    for name, function, weights in _terms(problem, *at[4:]):
+        repeated = [ca.repmat(direction, 1, steps) for direction in directions]
+        slope, values[name] = _push(function).map(steps)(*stage, weights, *repeated)
+        slopes += slope
+    last = _push(_terminal(problem))(*final, 1, *directions)[0]
+    outputs = [ca.densify(x) for x in (slopes, last, values["dynamics"], values["path"])]
+    return ca.Function("push", [*at, *directions], outputs)
+
+
+def _points(problem: OCP) -> tuple[list[ca.MX], list[ca.MX], list[ca.MX]]:
+    """S, U, psi, c, Lambda, M; the arguments (s, u, psi, c, d) of all stages, and those of the end."""
+    steps, n_s = problem.horizon, problem.n_states
+    states, actions = ca.MX.sym("S", n_s, steps + 1), ca.MX.sym("U", problem.n_actions, steps)
     psi, context = ca.MX.sym("psi", problem.n_parameters), ca.MX.sym("c", problem.n_context)
     costates, forces = ca.MX.sym("Lambda", n_s, steps), ca.MX.sym("M", problem.n_path, steps)
-    dX, last = ca.MX.sym("dX", n_s + n_u, steps), ca.MX.sym("ds_T", n_s)
-    dcostates, dforces = ca.MX.sym("dLambda", n_s, steps), ca.MX.sym("dM", problem.n_path, steps)
-    dpsi, dcontext = ca.MX.sym("dpsi", psi.numel()), ca.MX.sym("dc", context.numel())
     schedule = ca.DM(np.asarray(problem.schedule)).T
-    ones = ca.DM.ones(1, steps)
-
-    def repeat(*values: ca.MX) -> list[ca.MX]:
-        return [ca.repmat(value, 1, steps) for value in values]
-
-    point = [states[:, :steps], actions, *repeat(psi, context), schedule[:, :steps]]
+    repeated = [ca.repmat(value, 1, steps) for value in (psi, context)]
+    stage = [states[:, :steps], actions, *repeated, schedule[:, :steps]]
     final = [states[:, steps], ca.MX(0, 1), psi, context, schedule[:, steps]]
-    terms = [(problem.stage_cost, ones, 0 * ones)]  # function, its weights, their change
+    return [states, actions, psi, context, costates, forces], stage, final
+
+
+def _terms(problem: OCP, costates: ca.MX, forces: ca.MX) -> list[tuple[str, ca.Function, ca.MX]]:
+    """The functions of a stage's Lagrangian that parameters can enter, as g(s, u, psi, c, d), with their weights."""
+    terms = [("cost", problem.stage_cost, ca.DM.ones(1, problem.horizon))]
     if problem.path_constraint is not None:
-        terms.append((problem.path_constraint, forces, dforces))
-
-    by_psi, by_context = _pull(_terminal(problem))(*final, 1, last, 0)
-    push = [0, _push(_terminal(problem))(*final, 1, dpsi, dcontext)[0], ca.MX(n_s, steps), ca.MX(0, steps)]
-    for function, weights, dweights in terms:
-        pulled = _pull(function).map(steps)(*point, weights, dX, dweights)
-        by_psi, by_context = by_psi + ca.sum2(pulled[0]), by_context + ca.sum2(pulled[1])
-        slope, value = _push(function).map(steps)(*point, weights, *repeat(dpsi, dcontext))
-        push[0] += slope
-        push[3] = value
-    if problem.path_constraint is None:
-        push[3] = ca.MX(0, steps)
+        terms.append(("path", problem.path_constraint, forces))
     if problem.dynamics.jac_sparsity(0, 2).nnz():
-        dynamics = _dynamics(problem)
-        by_psi += ca.sum2(_pull(dynamics).map(steps)(*point, costates, dX, dcostates)[0])
-        slope, push[2] = _push(dynamics).map(steps)(*point, costates, *repeat(dpsi, dcontext))
-        push[0] += slope
-
-    at = [states, actions, psi, context, costates, forces]
-    compile = stages(problem).compile
-    pulled = [ca.densify(x) for x in (by_psi, by_context)]
-    return Influence(
-        pull=compile(ca.Function("pull", [*at, dX, last, dcostates, dforces], pulled)),
-        push=compile(ca.Function("push", [*at, dpsi, dcontext], [ca.densify(x) for x in push])),
-    )
+        terms.append(("dynamics", _dynamics(problem), costates))
+    return terms
 
 
 def _pull(function: ca.Function) -> ca.Function:

@@ -23,10 +23,11 @@ import numpy as np
 
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.recursion import factorise, substitute
-from kpirl_ocp.ocp.stages import stages
 from kpirl_ocp.types import Array, Indices
 
 PROXIMAL = 1e-9  # delta
+BOUNDARY = 0.99  # smallest share of the way to the boundary that a step may go
+CENTRE = 1e10  # slack * multiplier stays within this factor of tau
 
 
 @dataclass(frozen=True)
@@ -93,10 +94,10 @@ def rows(problem: OCP) -> Rows:
 def newton_step(problem: OCP) -> ca.Function:
     """The step (ds (n_s, T+1), du (n_u, T), dlambda (n_s, T), dy (m,), dz (m,), dnu) and the pivots (n_u, T).
 
-    Compiled as the problem's `Stages` are. A function of (r, r_T, defects, F, G, H, H_T) of `Stages.second`, g (m,), the violation of fixed entries, the gap in s_0,
+    Of (r, r_T, defects, F, G, H, H_T) of `stages.second`, g (m,), the violation of fixed entries, the gap in s_0,
     y, z, nu, tau and rho.
     """
-    steps, n_s, n_u, n_x = problem.horizon, problem.n_states, problem.n_actions, problem.n_states + problem.n_actions
+    steps, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
     at = rows(problem)
     m_b, n_h = len(at.bounds), problem.n_path
     r, last = ca.MX.sym("r", n_x, steps), ca.MX.sym("r_T", n_s)
@@ -111,19 +112,19 @@ def newton_step(problem: OCP) -> ca.Function:
     split = [0, m_b, g.numel()]  # bounds, path constraints
     (force_b, force_h), (weights_b, weights_h) = ca.vertsplit(force, split), ca.vertsplit(weights, split)
     pushing = force_h - ca.vertsplit(z, split)[1]  # the gradient r holds the path constraints' z
-    bounds, fixed = _selection(problem, at.entries, at.signs), _selection(problem, at.fixed, np.ones(len(at.fixed)))
+    bounds, fixed = selection(problem, at.entries, at.signs), selection(problem, at.fixed, np.ones(len(at.fixed)))
     push, push_last = _by_stage(problem, bounds @ force_b + fixed @ (nu + off / PROXIMAL))
     stiff, stiff_last = _by_stage(problem, (bounds * bounds) @ weights_b + ca.sum2(fixed) / PROXIMAL + rho)
     by_stage = (ca.reshape(x, n_h, steps) for x in (weights_h, pushing))
     condensed, slope = _condense(n_x, n_h).map(steps)(H, r + push, G, stiff, *by_stage)
 
-    P, W, Y, pivots = factorise(n_s, n_u, steps)(F, condensed, H_last + ca.diag(stiff_last))
-    ds, du, dlam = substitute(n_s, n_u, steps)(F, P, W, Y, pivots, slope, last + push_last, defects, gap)
+    P, W, Y, pivots = factorise(problem)(F, condensed, H_last + ca.diag(stiff_last))
+    ds, du, dlam = substitute(problem)(F, P, W, Y, pivots, slope, last + push_last, defects, gap)
     dw = ca.vertcat(ca.vec(ds[:, 1:]), ca.vec(du))
     dg = ca.vertcat(bounds.T @ dw, ca.vec(_product(n_h, n_x).map(steps)(G, ca.vertcat(ds[:, :steps], du))))
     step = [ds, du, dlam, -(g + y) - dg, force + weights * dg - z, (fixed.T @ dw + off) / PROXIMAL, pivots]
     inputs = [r, last, defects, F, G, H, H_last, g, off, gap, y, z, nu, tau, rho]
-    return stages(problem).compile(ca.Function("newton_step", inputs, [ca.densify(x) for x in step]))
+    return ca.Function("newton_step", inputs, [ca.densify(x) for x in step])
 
 
 def _condense(n_x: int, n_h: int) -> ca.Function:
@@ -142,7 +143,7 @@ def _product(rows: int, columns: int) -> ca.Function:
     return ca.Function("product", [G, x], [G @ x if rows else ca.MX(0, 1)])
 
 
-def _selection(problem: OCP, entries: Indices, signs: Array) -> ca.DM:
+def selection(problem: OCP, entries: Indices, signs: Array) -> ca.DM:
     """The sparse (n_w, m) matrix with one sign per column, in the row of its entry."""
     n_w = problem.horizon * (problem.n_states + problem.n_actions)
     if not len(entries):

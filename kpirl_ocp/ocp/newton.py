@@ -7,16 +7,14 @@ from functools import cached_property
 
 import numpy as np
 
-from kpirl_ocp.ocp.calls import Call
-from kpirl_ocp.ocp.interior_point import Rows, newton_step, rows
+from kpirl_ocp.ocp.calls import call
+from kpirl_ocp.ocp.interior_point import BOUNDARY, CENTRE, Rows, newton_step, rows
 from kpirl_ocp.ocp.kkt import largest
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.stages import by_time, stages
+from kpirl_ocp.ocp.stages import by_time, first, second, values
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Trajectory
 
 _PUSH = 1e-2  # how far a cold start is moved inside its bounds, relative to their size and distance
-_BOUNDARY = 0.99  # smallest share of the way to the boundary that a step may go
-_CENTRE = 1e10  # slack * multiplier stays within this factor of tau
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Derivatives:
-    """What is known at an iterate; `matrices` are F, G, H, H_T and `slopes` r, r_T of `Stages.second`, flat.
+    """What is known at an iterate; `matrices` are F, G, H, H_T and `slopes` r, r_T of `stages.second`, flat.
 
     cost_gradient: with respect to s_0 and w. gradient: (n_w,) of the Lagrangian, all multipliers included.
     defects: (T n_s,). gap: (n_s,) the given s_0 minus that of the iterate. off: violation of the fixed entries.
@@ -132,9 +130,8 @@ class Newton:
 
     def __init__(self, problem: OCP, s0: Array, psi: Array, context: Array) -> None:
         self.problem, self.s0, self.psi, self.context = problem, s0, psi, context
-        functions = stages(problem)
-        self._values, self._first, self._second = map(Call, (functions.values, functions.first, functions.second))
-        self._step = Call(newton_step(problem))
+        functions = (values, first, second, newton_step)
+        self._values, self._first, self._second, self._step = (call(problem, build) for build in functions)
         self._rows: Rows = rows(problem)
 
     def start(self, guess: Trajectory | None) -> Iterate:
@@ -189,7 +186,7 @@ class Newton:
         barrier, rho = np.array([tau]), np.array([regularisation])
         arguments = (r, r_last, at.defects, F, G, H, H_last, at.rows, at.off, at.gap, it.y, it.z, it.nu, barrier, rho)
         ds, du, dcostates, dy, dz, dnu, pivots = self._step(*arguments)
-        share = max(_BOUNDARY, 1 - tau)
+        share = max(BOUNDARY, 1 - tau)
         return Step(
             ds0=ds[: len(self.s0)],
             dw=np.concatenate([ds[len(self.s0) :], du]),
@@ -215,7 +212,7 @@ class Newton:
         """The same point with slacks no smaller than what is left of the constraint, and multipliers near tau / y."""
         g = self._rows.evaluate(at.w, self._path(at.s0, at.w))
         y = np.maximum(at.y, -g)
-        return replace(at, y=y, z=np.clip(at.z, tau / y / _CENTRE, tau / y * _CENTRE))
+        return replace(at, y=y, z=np.clip(at.z, tau / y / CENTRE, tau / y * CENTRE))
 
     def trajectory(self, at: Iterate) -> Trajectory:
         """States and actions, time first."""

@@ -13,7 +13,8 @@ and forwards u_t = -W' J (Y s_t + v), with the costate lambda_t = P_{t+1} s_{t+1
 There are as many negative pivots in all D as the Hessian along the dynamics has negative eigenvalues: it has a
 minimum exactly when all are positive. Otherwise the same formulas lead to its stationary point.
 
-Matrices of all stages lie side by side: F is (n_s, n_x T), H (n_x, n_x T), vectors are columns.
+Only the dimensions of a problem matter here. Matrices of all stages lie side by side, F is (n_s, n_x T) and H is
+(n_x, n_x T); vectors are columns.
 """
 
 from __future__ import annotations
@@ -22,14 +23,16 @@ from functools import lru_cache
 
 import casadi as ca
 
+from kpirl_ocp.ocp.problem import OCP
+
 
 @lru_cache(maxsize=64)
-def factorise(n_s: int, n_u: int, steps: int) -> ca.Function:
+def factorise(problem: OCP) -> ca.Function:
     """(F, H, H_T (n_s, n_s)) -> P_1..P_T (n_s, n_s T), W (n_u, n_u T), Y (n_u, n_s T), pivots (n_u, T).
 
     A pivot that is zero makes everything before its stage infinite or NaN.
     """
-    n_x = n_s + n_u
+    n_s, n_u, n_x, steps = _sizes(problem)
     P, F, H = ca.MX.sym("P", n_s, n_s), ca.MX.sym("F", n_s, n_x), ca.MX.sym("H", n_x, n_x)
     M = H + F.T @ (P @ F)
     W, pivots = _inverse_root(n_u)(M[n_s:, n_s:])
@@ -45,9 +48,9 @@ def factorise(n_s: int, n_u: int, steps: int) -> ca.Function:
 
 
 @lru_cache(maxsize=64)
-def substitute(n_s: int, n_u: int, steps: int) -> ca.Function:
+def substitute(problem: OCP) -> ca.Function:
     """(F, P, W, Y, pivots, q (n_x, T), q_T (n_s,), d (n_s, T), s_0) -> s (n_s, T+1), u (n_u, T), lambda (n_s, T)."""
-    n_x = n_s + n_u
+    n_s, n_u, n_x, steps = _sizes(problem)
     p, s = ca.MX.sym("p", n_s), ca.MX.sym("s", n_s)
     F, P = ca.MX.sym("F", n_s, n_x), ca.MX.sym("P", n_s, n_s)
     W, Y = ca.MX.sym("W", n_u, n_u), ca.MX.sym("Y", n_u, n_s)
@@ -70,6 +73,12 @@ def substitute(n_s: int, n_u: int, steps: int) -> ca.Function:
     after, u = forward.mapaccum(steps)(s, F, W, Y, pivots, _reversed(v, 1), d)
     outputs = [ca.horzcat(s, after), u, _stagewise_product(n_s, steps)(P, after) + p]
     return ca.Function("substitute", [F, P, W, Y, pivots, q, last, d, s], outputs)
+
+
+def _sizes(problem: OCP) -> tuple[int, int, int, int]:
+    """n_s, n_u, n_x and T."""
+    n_s, n_u = problem.n_states, problem.n_actions
+    return n_s, n_u, n_s + n_u, problem.horizon
 
 
 def _stagewise_product(n: int, steps: int) -> ca.Function:
@@ -112,9 +121,9 @@ def _inverse_root(n: int) -> ca.Function:
 
 
 @lru_cache(maxsize=64)
-def condense(n_s: int, n_u: int, steps: int) -> ca.Function:
+def condense(problem: OCP) -> ca.Function:
     """(F, H, H_T, u (n_u, T)) -> Z' H Z u (n_u, T), where Z u = (s, u) follows the dynamics from s_0 = 0."""
-    n_x = n_s + n_u
+    n_s, n_u, n_x, steps = _sizes(problem)
     s, u, lam = ca.MX.sym("s", n_s), ca.MX.sym("u", n_u), ca.MX.sym("lambda", n_s)
     F, H, x = ca.MX.sym("F", n_s, n_x), ca.MX.sym("H", n_x, n_x), ca.MX.sym("x", n_x)
     forward = ca.Function("roll", [s, F, u], [F @ ca.vertcat(s, u)])

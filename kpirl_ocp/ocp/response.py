@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kpirl_ocp.ocp.calls import Call
+from kpirl_ocp.ocp.calls import call
 from kpirl_ocp.ocp.factorisation import Factorisation
-from kpirl_ocp.ocp.influence import influence
+from kpirl_ocp.ocp.influence import pull, push
 from kpirl_ocp.ocp.sensitivity import Instance, KKTSystem, linearise, primal_dual, scatter
 from kpirl_ocp.types import Array, Solution, Trajectory
 
@@ -57,7 +57,7 @@ class Response:
         forces = instance.path_forces(scatter(system.active, forces) + system.stiffness * (system.rows @ w))
         x, last = system.by_stage(w)
         point = (*instance.at(system.point.w), system.point.costates, instance.path_forces(system.point.forces))
-        by_psi, by_context = Call(influence(instance.problem).pull)(*point, x.ravel(), last, costates, forces)
+        by_psi, by_context = call(instance.problem, pull)(*point, x.ravel(), last, costates, forces)
         by_start = system.H[0] @ x[0] + system.F[0] @ costates[:n_s] + system.G[0] @ forces.reshape(steps, n_h)[0]
         direct = np.zeros(n_s) if slope_s0 is None else slope_s0
         return Gradients(-by_psi, direct - by_start[:n_s], -by_context, w, residual)
@@ -67,7 +67,7 @@ class Response:
         system, instance = self.system, self.system.instance
         problem, n_s = instance.problem, len(system.H_last)
         point = (*instance.at(system.point.w), system.point.costates, instance.path_forces(system.point.forces))
-        dr, dr_last, ddefects, dpath = Call(influence(problem).push)(*point, dpsi, dcontext)
+        dr, dr_last, ddefects, dpath = call(problem, push)(*point, dpsi, dcontext)
         x = np.zeros((len(system.H), system.H.shape[1]))
         x[0, :n_s] = ds0
         dr = dr.reshape(x.shape) + (system.H @ x[:, :, None])[:, :, 0]

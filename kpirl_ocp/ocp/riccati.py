@@ -21,7 +21,7 @@ from kpirl_ocp.ocp.solver import Guess
 from kpirl_ocp.types import KKTResiduals, Solution, Status
 
 _START = 0.3  # barrier parameter of a cold start, relative to the gradient of the objective there
-_WARM = 1e-6  # of a warm start
+_WARM = 1e-6  # largest one of a warm start
 _SOLVED = 30.0  # a barrier problem counts as solved when its residual is below this times tau, relative to the cost
 _LARGE = 100.0  # multipliers above this count as large, as in Ipopt
 _SHORTEST = 1e-10  # step length below which a line search gives up
@@ -63,7 +63,7 @@ class Riccati:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
         newton = Newton(problem, *problem.inputs(s0, psi, context))
         if isinstance(guess, Solution):
-            tau = self.barrier or _WARM
+            tau = self.barrier or self._warm_barrier(newton, guess)
             iterate = newton.resume(guess, tau)
         else:
             iterate = newton.start(guess)
@@ -72,6 +72,12 @@ class Riccati:
         run = _Run(self, newton, iterate, tau)
         status = run.converge() if self.steps is None else run.advance(self.steps)
         return run.solution(status)
+
+    def _warm_barrier(self, newton: Newton, guess: Solution) -> float:
+        """As small as the guess is good, so that a solution stays one; at most `_WARM`, so that a guess counts."""
+        final = self.tolerance / 10
+        error = newton.differentiate(newton.resume(guess, final), matrices=False).residuals(0.0).worst
+        return float(np.clip(error, final, _WARM)) if np.isfinite(error) else _WARM
 
 
 class _Run:

@@ -17,10 +17,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 import scipy.sparse
 
-from kpirl_ocp.ocp.calls import Call
+from kpirl_ocp.ocp.calls import call
 from kpirl_ocp.ocp.kkt import NLP, Inequalities, pack, transcribe
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.stages import Stages, by_time, stages
+from kpirl_ocp.ocp.stages import by_time, first, second, values
 from kpirl_ocp.types import Array, Indices, Mask, Solution
 
 
@@ -39,13 +39,8 @@ class Instance:
         """The problem as a nonlinear program."""
         return transcribe(self.problem)
 
-    @property
-    def stages(self) -> Stages:
-        """The problem's stage functions."""
-        return stages(self.problem)
-
     def at(self, w: Array) -> tuple[Array, Array, Array, Array]:
-        """The arguments (S, U, psi, c), flat, that functions of `Stages` begin with."""
+        """The arguments (S, U, psi, c), flat, that functions of `kpirl_ocp.ocp.stages` begin with."""
         split = self.problem.horizon * self.problem.n_states
         return np.concatenate([self.s0, w[:split]]), w[split:], self.psi, self.context
 
@@ -55,7 +50,7 @@ class Instance:
 
     def gradient(self, point: PrimalDual) -> Array:
         """Gradient (n_w,) of J + lambda.defects + mu.path."""
-        outputs = Call(self.stages.first)(*self.at(point.w), point.costates, self.path_forces(point.forces))
+        outputs = call(self.problem, first)(*self.at(point.w), point.costates, self.path_forces(point.forces))
         return by_time(self.problem, outputs[5], outputs[6])[self.problem.n_states :]
 
 
@@ -72,7 +67,7 @@ class PrimalDual:
 class KKTSystem:
     """First and second derivatives at a point; the inequalities are listed as in `Inequalities`.
 
-    F, G, H: transposed blocks (T, n_x, n_s), (T, n_x, n_h), (T, n_x, n_x) of `Stages.second`. H_last: (n_s, n_s).
+    F, G, H: transposed blocks (T, n_x, n_s), (T, n_x, n_h), (T, n_x, n_x) of `stages.second`. H_last: (n_s, n_s).
     rows: Jacobian of the inequalities' values -slack (n_ineq, n_w), sparse. slack: (n_ineq,).
     gradient: of J + lambda.defects + mu.path (n_w,). defects: (T n_s,).
     active: (n_ineq,) which rows are constraints. equal: (n_ineq,) which of them are equalities.
@@ -186,7 +181,7 @@ def primal_dual(instance: Instance, solution: Solution) -> tuple[PrimalDual, Mas
     wrong; `kpirl_ocp.ocp.probe` finds out.
     """
     w = pack(solution.trajectory)
-    rows = Inequalities.at(instance.nlp, w, Call(instance.stages.values)(*instance.at(w))[2])
+    rows = Inequalities.at(instance.nlp, w, call(instance.problem, values)(*instance.at(w))[2])
     forces = rows.forces(solution.multipliers, solution.barrier)
     duplicate = rows.equal & (np.arange(len(rows.equal)) >= len(rows.lower))  # the upper side of an equality
     active = rows.equal if solution.barrier > 0 else (forces > rows.slack) | rows.equal
@@ -196,7 +191,7 @@ def primal_dual(instance: Instance, solution: Solution) -> tuple[PrimalDual, Mas
 def linearise(instance: Instance, point: PrimalDual, active: Mask) -> KKTSystem:
     """Evaluate the KKT system at a point for a given active set."""
     problem, mu = instance.problem, instance.path_forces(point.forces)
-    outputs = Call(instance.stages.second)(*instance.at(point.w), point.costates, mu)
+    outputs = call(problem, second)(*instance.at(point.w), point.costates, mu)
     _, defects, path, _, _, r, r_last, F, G, H, H_last = outputs
     steps, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
     G = G.reshape(steps, n_x, problem.n_path)

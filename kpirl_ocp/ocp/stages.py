@@ -12,63 +12,42 @@ Derivatives of f come from `OCP.dynamics_derivatives`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.native import compiled
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.types import Array
 
-# T n_x^2 from which machine code saves more than the second that the compiler takes: small problems are solved in
-# milliseconds by CasADi's virtual machine.
-_WORTH_COMPILING = 5000
 
-
-@dataclass(frozen=True, eq=False)
-class Stages:
-    """Functions of a point: S (n_s, T+1), U (n_u, T), psi, c.
-
-    values: -> J, defects f - s_next (n_s, T), path constraints h (n_h, T).
-    first: also (Lambda (n_s, T), M (n_h, T)) -> the values, gradient of J (n_x, T) and (n_s,), r (n_x, T), r_T (n_s,).
-    second: the same -> the outputs of `first`, then F, G, H and H_T (n_s, n_s).
-    compile: what was done to these functions and is right for others of this problem: compiled, or left as they are.
-    """
-
-    values: ca.Function
-    first: ca.Function
-    second: ca.Function
-    compile: Callable[[ca.Function], ca.Function]
+@lru_cache(maxsize=64)
+def values(problem: OCP) -> ca.Function:
+    """(S (n_s, T+1), U (n_u, T), psi, c) -> J, defects f - s_next (n_s, T), path constraints h (n_h, T)."""
+    point, _ = _symbols(problem)
+    return ca.Function("stage_values", point, _values(problem, *point))
 
 
 @lru_cache(maxsize=64)
-def stages(problem: OCP) -> Stages:
-    """The stage functions of a problem; cached, and compiled if the problem is big enough to repay it."""
-    big = problem.horizon * (problem.n_states + problem.n_actions) ** 2 > _WORTH_COMPILING
-    compile = compiled if big else _as_it_is
+def first(problem: OCP) -> ca.Function:
+    """(S, U, psi, c, Lambda (n_s, T), M (n_h, T)) -> `values`, gradient of J (n_x, T) and (n_s,), r and r_T (n_s,)."""
     point, dual = _symbols(problem)
-    values = _values(problem, *point)
-    gradients = _gradients(problem, *point, *dual)
-    matrices = _matrices(problem, *point, *dual)
-    return Stages(
-        values=compile(ca.Function("stage_values", point, values)),
-        first=compile(ca.Function("stage_first", [*point, *dual], [*values, *gradients])),
-        second=compile(ca.Function("stage_second", [*point, *dual], [*values, *gradients, *matrices])),
-        compile=compile,
-    )
+    outputs = [*_values(problem, *point), *_gradients(problem, *point, *dual)]
+    return ca.Function("stage_first", [*point, *dual], outputs)
+
+
+@lru_cache(maxsize=64)
+def second(problem: OCP) -> ca.Function:
+    """The arguments of `first` -> its outputs, then F, G, H and H_T (n_s, n_s)."""
+    point, dual = _symbols(problem)
+    outputs = [*_values(problem, *point), *_gradients(problem, *point, *dual), *_matrices(problem, *point, *dual)]
+    return ca.Function("stage_second", [*point, *dual], outputs)
 
 
 def by_time(problem: OCP, x: Array, last: Array) -> Array:
     """Columns x_t (n_x, T), flat, and s_T (n_s,) as one vector (s_0, .. s_T, u_0 .. u_{T-1})."""
     columns = x.reshape(problem.horizon, -1)
     return np.concatenate([columns[:, : problem.n_states].ravel(), last, columns[:, problem.n_states :].ravel()])
-
-
-def _as_it_is(function: ca.Function) -> ca.Function:
-    return function
 
 
 def _symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX]]:
