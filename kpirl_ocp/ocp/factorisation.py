@@ -21,7 +21,7 @@ from kpirl_ocp.types import Array
 _DELTA = 1e-8  # balances the rounding of the recursion, 1e-16 / delta, against the rate of the refinement
 _DEPENDENCE = 1e-11  # delta of `qualification`: singular values are known to its square root
 _REFINEMENTS = 12
-_PRODUCTS = 12  # Lanczos steps
+_PRODUCTS = 10  # Lanczos steps; for `scale` half of them give the first digits
 _EXACT = 1e-13  # relative residual at which refinement stops
 
 
@@ -40,7 +40,7 @@ class Factorisation:
         self._factorise, self._substitute, self._condense = (call(problem, build) for build in functions)
         self._system, self._n_actions = system, problem.horizon * problem.n_actions
         self._lengths = _row_lengths(system)
-        extremes = lanczos(self._times_condensed, self._n_actions, _PRODUCTS)[0]
+        extremes = lanczos(self._times_condensed, self._n_actions, _PRODUCTS // 2)[0]
         self._scale = float(np.abs(extremes).max())
         self._units = np.where(self._lengths > 0, self._lengths, 1.0)
         self._stiffness = (self._scale or 1.0) / (_DELTA * self._units**2)
@@ -75,7 +75,7 @@ class Factorisation:
         worst = 0 if values[0] < 0 else -1
         eigenvalue = 1 / values[worst]
         if (self._pivots < 0).any() and eigenvalue > 0:
-            return np.nan, nothing  # there is a negative eigenvalue that twelve products did not find
+            return np.nan, nothing  # there is a negative eigenvalue that the Lanczos method did not find
         direction = self._back(np.concatenate([np.zeros(n_states), vectors[:, worst]]), np.zeros(n_states))[0]
         return float(eigenvalue / self._scale), direction / np.linalg.norm(direction)
 

@@ -100,14 +100,14 @@ class KKTSystem:
         return self.rows[np.flatnonzero(self.active)]
 
     @cached_property
-    def transposed_constraints(self) -> scipy.sparse.csr_matrix:
+    def transposed_constraints(self) -> scipy.sparse.csc_matrix:
         """C' (n_w, n_active)."""
-        return self.constraints.T.tocsr()
+        return self.constraints.T
 
     @cached_property
-    def transposed_rows(self) -> scipy.sparse.csr_matrix:
+    def transposed_rows(self) -> scipy.sparse.csc_matrix:
         """(n_w, n_ineq)."""
-        return self.rows.T.tocsr()
+        return self.rows.T
 
     @cached_property
     def only_actions(self) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import scipy.linalg
 
 from kpirl_ocp.types import Array
 
@@ -33,5 +32,5 @@ def lanczos(operator: Callable[[Array], Array], size: int, products: int) -> tup
             break
         beside.append(length)
     k = len(diagonal)
-    values, vectors = scipy.linalg.eigh_tridiagonal(np.array(diagonal), np.array(beside[: k - 1]))
+    values, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(beside[: k - 1], -1))  # reads the lower triangle
     return values, basis[:k].T @ vectors
