@@ -90,28 +90,28 @@ def _gradients(
 def _matrices(
     problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX, costates: ca.MX, forces: ca.MX
 ) -> list[ca.MX]:
-    steps, n_x = problem.horizon, problem.n_states + problem.n_actions
-    before, schedule = states[:, :-1], ca.DM(np.asarray(problem.schedule)).T
-    arguments = [before, actions, _repeat(problem, psi), _repeat(problem, context), schedule[:, :steps]]
-    F = _dynamics_jacobian(problem).map(steps)(*arguments[:3])
-    H = problem.dynamics_derivatives.hessian.map(steps)(*arguments[:3], costates)
-    H += _stage_hessian(problem.stage_cost).map(steps)(*arguments, ca.DM.ones(1, steps))
-    G = ca.MX(0, n_x * steps)
-    if problem.path_constraint is not None:
-        H += _stage_hessian(problem.path_constraint).map(steps)(*arguments, forces)
-        G = _stage_jacobian(problem.path_constraint).map(steps)(*arguments)
+    steps, schedule = problem.horizon, ca.DM(np.asarray(problem.schedule)).T
+    arguments = [states[:, :-1], actions, _repeat(problem, psi), _repeat(problem, context), schedule[:, :steps]]
+    matrices = _stage_matrices(problem).map(steps)(*arguments, costates, forces)
     last = _terminal(problem)(states[:, -1], psi, context, schedule[:, steps])[1]
-    return [ca.densify(x) for x in (F, G, H, last)]
+    return [ca.densify(x) for x in (*matrices, last)]
 
 
 def _repeat(problem: OCP, value: ca.MX) -> ca.MX:
     return ca.repmat(value, 1, problem.horizon)
 
 
-def _dynamics_jacobian(problem: OCP) -> ca.Function:
-    s, u, psi = (ca.MX.sym(name, problem.dynamics.size1_in(i)) for i, name in enumerate(("s", "u", "psi")))
-    F = ca.horzcat(*problem.dynamics_derivatives.jacobian(s, u, psi))
-    return ca.Function("dynamics_jacobian", [s, u, psi], [ca.densify(F)])
+def _stage_matrices(problem: OCP) -> ca.Function:
+    """(s, u, psi, c, d, lambda, mu) -> F, G and H of one stage."""
+    derivatives, path = problem.dynamics_derivatives, problem.path_constraint
+    point = [ca.MX.sym(name, problem.stage_cost.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d"))]
+    costate, force = ca.MX.sym("lambda", problem.n_states), ca.MX.sym("mu", problem.n_path)
+    F = ca.horzcat(*derivatives.jacobian(*point[:3]))
+    H = derivatives.hessian(*point[:3], costate) + _stage_hessian(problem.stage_cost)(*point, 1)
+    G = ca.MX(0, problem.n_states + problem.n_actions)
+    if path is not None:
+        G, H = _stage_jacobian(path)(*point), H + _stage_hessian(path)(*point, force)
+    return ca.Function("stage_matrices", [*point, costate, force], [ca.densify(x) for x in (F, G, H)])
 
 
 def _pairing(function: ca.Function) -> tuple[list[ca.SX | ca.MX], ca.SX | ca.MX, ca.SX | ca.MX]:
