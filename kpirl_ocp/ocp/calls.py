@@ -14,7 +14,7 @@ from kpirl_ocp.types import Array
 
 # T n_x^2 from which machine code saves more than the seconds that the compiler takes: smaller problems are solved in
 # milliseconds by CasADi's virtual machine.
-_WORTH_COMPILING = 5000
+_WORTH_COMPILING = 15000
 
 
 class Call:

@@ -72,9 +72,9 @@ class Factorisation:
         values, vectors = lanczos(inverse, self._n_actions, _PRODUCTS)
         if not np.isfinite(values).all() or self._scale == 0:
             return 0.0, nothing
-        worst = 0 if values[0] < 0 else -1
+        worst = 0 if (self._pivots < 0).any() else -1  # the pivots know the signs, the Lanczos method the size
         eigenvalue = 1 / values[worst]
-        if (self._pivots < 0).any() and eigenvalue > 0:
+        if worst == 0 and eigenvalue > 0:
             return np.nan, nothing  # there is a negative eigenvalue that the Lanczos method did not find
         direction = self._back(np.concatenate([np.zeros(n_states), vectors[:, worst]]), np.zeros(n_states))[0]
         return float(eigenvalue / self._scale), direction / np.linalg.norm(direction)
