@@ -67,7 +67,7 @@ class Riccati:
             iterate = newton.resume(guess, tau)
         else:
             iterate = newton.start(guess)
-            tau = self.barrier or _START * newton.differentiate(iterate).scale
+            tau = self.barrier or _START * newton.differentiate(iterate, matrices=False).scale
             iterate = replace(iterate, z=tau / iterate.y)
         run = _Run(self, newton, iterate, tau)
         status = run.converge() if self.steps is None else run.advance(self.steps)

@@ -32,7 +32,11 @@ def values(problem: OCP) -> ca.Function:
 def first(problem: OCP) -> ca.Function:
     """(S, U, psi, c, Lambda (n_s, T), M (n_h, T)) -> `values`, gradient of J (n_x, T) and (n_s,), r and r_T (n_s,)."""
     point, dual = _symbols(problem)
-    outputs = [*_values(problem, *point), *_gradients(problem, *point, *dual)]
+    by_state, by_action, _ = problem.dynamics_derivatives.vjp.map(problem.horizon)(
+        point[0][:, :-1], point[1], _repeat(problem, point[2]), dual[0]
+    )
+    pulled = ca.vertcat(by_state, by_action)
+    outputs = [*_values(problem, *point), *_gradients(problem, *point, *dual, pulled=pulled)]
     return ca.Function("stage_first", [*point, *dual], outputs)
 
 
@@ -40,7 +44,8 @@ def first(problem: OCP) -> ca.Function:
 def second(problem: OCP) -> ca.Function:
     """The arguments of `first` -> its outputs, then F, G, H and H_T (n_s, n_s)."""
     point, dual = _symbols(problem)
-    outputs = [*_values(problem, *point), *_gradients(problem, *point, *dual), *_matrices(problem, *point, *dual)]
+    *matrices, pulled = _matrices(problem, *point, *dual)
+    outputs = [*_values(problem, *point), *_gradients(problem, *point, *dual, pulled=pulled), *matrices]
     return ca.Function("stage_second", [*point, *dual], outputs)
 
 
@@ -70,18 +75,24 @@ def _values(problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca
 
 
 def _gradients(
-    problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX, costates: ca.MX, forces: ca.MX
+    problem: OCP,
+    states: ca.MX,
+    actions: ca.MX,
+    psi: ca.MX,
+    context: ca.MX,
+    costates: ca.MX,
+    forces: ca.MX,
+    pulled: ca.MX,
 ) -> list[ca.MX]:
+    """Gradients of J and of the Lagrangian; `pulled` holds the columns F' lambda (n_x, T)."""
     steps, n_s = problem.horizon, problem.n_states
     before, schedule = states[:, :-1], ca.DM(np.asarray(problem.schedule)).T
     arguments = [before, actions, _repeat(problem, psi), _repeat(problem, context), schedule[:, :steps]]
     cost = _stage_gradient(problem.stage_cost).map(steps)(*arguments, ca.DM.ones(1, steps))
     last = _terminal(problem)(states[:, -1], psi, context, schedule[:, steps])[0]
-    lagrangian = cost
+    lagrangian = cost + pulled
     if problem.path_constraint is not None:
         lagrangian += _stage_gradient(problem.path_constraint).map(steps)(*arguments, forces)
-    by_state, by_action, _ = problem.dynamics_derivatives.vjp.map(steps)(before, actions, arguments[2], costates)
-    lagrangian += ca.vertcat(by_state, by_action)
     arriving = ca.horzcat(ca.MX.zeros(n_s, 1), costates)  # s_t is where stage t-1 arrives
     lagrangian -= ca.vertcat(arriving[:, :steps], ca.MX.zeros(problem.n_actions, steps))
     return [ca.densify(x) for x in (cost, last, lagrangian, last - arriving[:, steps])]
@@ -90,11 +101,12 @@ def _gradients(
 def _matrices(
     problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX, costates: ca.MX, forces: ca.MX
 ) -> list[ca.MX]:
+    """F, G, H, H_T and F' lambda."""
     steps, schedule = problem.horizon, ca.DM(np.asarray(problem.schedule)).T
     arguments = [states[:, :-1], actions, _repeat(problem, psi), _repeat(problem, context), schedule[:, :steps]]
-    matrices = _stage_matrices(problem).map(steps)(*arguments, costates, forces)
+    F, G, H, pulled = _stage_matrices(problem).map(steps)(*arguments, costates, forces)
     last = _terminal(problem)(states[:, -1], psi, context, schedule[:, steps])[1]
-    return [ca.densify(x) for x in (*matrices, last)]
+    return [ca.densify(x) for x in (F, G, H, last, pulled)]
 
 
 def _repeat(problem: OCP, value: ca.MX) -> ca.MX:
@@ -102,7 +114,7 @@ def _repeat(problem: OCP, value: ca.MX) -> ca.MX:
 
 
 def _stage_matrices(problem: OCP) -> ca.Function:
-    """(s, u, psi, c, d, lambda, mu) -> F, G and H of one stage."""
+    """(s, u, psi, c, d, lambda, mu) -> F, G, H and F' lambda of one stage."""
     derivatives, path = problem.dynamics_derivatives, problem.path_constraint
     point = [ca.MX.sym(name, problem.stage_cost.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d"))]
     costate, force = ca.MX.sym("lambda", problem.n_states), ca.MX.sym("mu", problem.n_path)
@@ -111,7 +123,8 @@ def _stage_matrices(problem: OCP) -> ca.Function:
     G = ca.MX(0, problem.n_states + problem.n_actions)
     if path is not None:
         G, H = _stage_jacobian(path)(*point), H + _stage_hessian(path)(*point, force)
-    return ca.Function("stage_matrices", [*point, costate, force], [ca.densify(x) for x in (F, G, H)])
+    outputs = [ca.densify(x) for x in (F, G, H, ca.densify(F).T @ costate)]
+    return ca.Function("stage_matrices", [*point, costate, force], outputs)
 
 
 def _pairing(function: ca.Function) -> tuple[list[ca.SX | ca.MX], ca.SX | ca.MX, ca.SX | ca.MX]:
