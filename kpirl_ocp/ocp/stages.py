@@ -36,7 +36,7 @@ def first(problem: OCP) -> ca.Function:
         point[0][:, :-1], point[1], _repeat(problem, point[2]), dual[0]
     )
     pulled = ca.vertcat(by_state, by_action)
-    outputs = [*_values(problem, *point), *_gradients(problem, *point, *dual, pulled=pulled)]
+    outputs = [*_values(problem, *point), *_gradients(problem, point, dual, pulled)]
     return ca.Function("stage_first", [*point, *dual], outputs)
 
 
@@ -45,7 +45,7 @@ def second(problem: OCP) -> ca.Function:
     """The arguments of `first` -> its outputs, then F, G, H and H_T (n_s, n_s)."""
     point, dual = _symbols(problem)
     *matrices, pulled = _matrices(problem, *point, *dual)
-    outputs = [*_values(problem, *point), *_gradients(problem, *point, *dual, pulled=pulled), *matrices]
+    outputs = [*_values(problem, *point), *_gradients(problem, point, dual, pulled), *matrices]
     return ca.Function("stage_second", [*point, *dual], outputs)
 
 
@@ -74,17 +74,9 @@ def _values(problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca
     return [cost, ca.densify(defects), ca.densify(path)]
 
 
-def _gradients(
-    problem: OCP,
-    states: ca.MX,
-    actions: ca.MX,
-    psi: ca.MX,
-    context: ca.MX,
-    costates: ca.MX,
-    forces: ca.MX,
-    pulled: ca.MX,
-) -> list[ca.MX]:
+def _gradients(problem: OCP, point: list[ca.MX], dual: list[ca.MX], pulled: ca.MX) -> list[ca.MX]:
     """Gradients of J and of the Lagrangian; `pulled` holds the columns F' lambda (n_x, T)."""
+    (states, actions, psi, context), (costates, forces) = point, dual
     steps, n_s = problem.horizon, problem.n_states
     before, schedule = states[:, :-1], ca.DM(np.asarray(problem.schedule)).T
     arguments = [before, actions, _repeat(problem, psi), _repeat(problem, context), schedule[:, :steps]]
