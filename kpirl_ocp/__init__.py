@@ -14,11 +14,13 @@ from kpirl_ocp.irl.learning import learn
 from kpirl_ocp.irl.optimisers import LBFGS, Adam, Descent
 from kpirl_ocp.irl.unrolled import Truncated, Unrolled
 from kpirl_ocp.ocp.costs import RBF, Default, KeypointCost, TimeDependent, Weighted
+from kpirl_ocp.ocp.fatrop import Fatrop
 from kpirl_ocp.ocp.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.ipopt import Ipopt
 from kpirl_ocp.ocp.keypoint_planning import keypoint_ocp, keypoint_state
 from kpirl_ocp.ocp.kinematics import Keypoint, Robot
 from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.riccati import Riccati
 from kpirl_ocp.types import Demonstration, Solution, Status, Trajectory
 
 __all__ = [
@@ -29,12 +31,14 @@ __all__ = [
     "Default",
     "Demonstration",
     "Descent",
+    "Fatrop",
     "FiniteDifference",
     "GradientDescent",
     "Implicit",
     "Ipopt",
     "Keypoint",
     "KeypointCost",
+    "Riccati",
     "Robot",
     "Solution",
     "Status",

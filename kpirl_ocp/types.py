@@ -53,8 +53,8 @@ class Status(Enum):
 
     CONVERGED = "the KKT conditions hold to the solver's tolerance."
     STEPS_TAKEN = (
-        "all gradient steps were taken, short of stationarity. Right for unrolled gradients; "
-        "for a converged OCP take more steps, another step size, or Ipopt."
+        "all steps were taken, short of stationarity. Right for unrolled gradients and real-time iterations; "
+        "for a converged OCP take more gradient steps, another step size, or another solver."
     )
     ITERATION_LIMIT = "the iteration limit was reached. Raise max_iterations, or pass a better guess."
     INFEASIBLE = "no feasible point was found nearby. Relax the bounds or path constraints, or pass another guess."

@@ -13,7 +13,17 @@ import numpy as np
 import pytest
 from problems import free, iiwa
 
-from kpirl_ocp import OCP, Demonstration, FiniteDifference, GradientDescent, Implicit, Ipopt, Trajectory, Unrolled
+from kpirl_ocp import (
+    OCP,
+    Demonstration,
+    FiniteDifference,
+    GradientDescent,
+    Implicit,
+    Ipopt,
+    Riccati,
+    Trajectory,
+    Unrolled,
+)
 from kpirl_ocp.errors import CertificateError
 from kpirl_ocp.irl.hypergradient import HypergradientResult
 
@@ -154,6 +164,14 @@ def test_gradient_that_cannot_be_trusted_is_flagged_with_its_remedy(
     with pytest.raises(CertificateError, match="policy='flag'") as caught:
         POINTS[name].differentiate(replace(method, policy="raise"))
     assert caught.value.certificate.failures == certificate.failures
+
+
+@pytest.mark.parametrize("name", POINTS)
+def test_certificate_does_not_depend_on_which_solver_found_the_solution(name: str) -> None:
+    results = [POINTS[name].differentiate(Implicit(s, policy="flag")) for s in (Ipopt(), Riccati())]
+    assert results[0].certificate.certified == results[1].certificate.certified == (name in ("plain", "small_cost"))
+    if results[0].certificate.certified:
+        np.testing.assert_allclose(results[0].gradient, results[1].gradient, rtol=1e-8)
 
 
 @pytest.mark.parametrize("method", [Unrolled(DESCENT), Implicit(), Implicit(DESCENT), FiniteDifference()], ids=title)

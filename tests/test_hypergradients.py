@@ -30,6 +30,7 @@ from kpirl_ocp import (
     GradientDescent,
     Implicit,
     Ipopt,
+    Riccati,
     Truncated,
     Unrolled,
 )
@@ -39,6 +40,7 @@ from kpirl_ocp.irl.hypergradient import HypergradientResult
 TIGHT = Ipopt(tolerance=1e-12)
 METHODS = {
     "implicit": lambda case: Implicit(),
+    "implicit_riccati": lambda case: Implicit(Riccati(tolerance=1e-12)),
     "implicit_tight": lambda case: Implicit(TIGHT),
     "implicit_descent": lambda case: Implicit(descent(case)),
     "unrolled": lambda case: Unrolled(descent(case)),
@@ -59,7 +61,13 @@ def error(gradient: np.ndarray, reference: np.ndarray) -> float:
 
 every_method = pytest.mark.parametrize(
     ("method", "tolerance"),
-    [("implicit", 1e-13), ("implicit_descent", 1e-13), ("unrolled", 1e-13), ("finite_difference", 1e-11)],
+    [
+        ("implicit", 1e-13),
+        ("implicit_descent", 1e-13),
+        ("implicit_riccati", 1e-13),
+        ("unrolled", 1e-13),
+        ("finite_difference", 1e-11),
+    ],
 )
 
 
@@ -140,11 +148,14 @@ def reference(case: Case) -> HypergradientResult:
     [
         ("integrator", "implicit", 1e-9),
         ("integrator", "implicit_tight", 5e-11),
+        ("integrator", "implicit_riccati", 5e-11),
         ("pendulum", "implicit", 1e-12),
         ("pendulum", "implicit_descent", 1e-12),
+        ("pendulum", "implicit_riccati", 1e-9),
         ("pendulum", "unrolled", 1e-12),
         ("iiwa", "implicit", 1e-8),
         ("iiwa", "implicit_tight", 5e-10),
+        ("iiwa", "implicit_riccati", 5e-10),
         ("iiwa", "implicit_descent", 5e-11),
         ("iiwa", "unrolled", 5e-11),
         ("free_integrator", "implicit", 5e-12),

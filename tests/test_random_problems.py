@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import OCP, Demonstration, FiniteDifference, Implicit, Ipopt
+from kpirl_ocp import OCP, Demonstration, FiniteDifference, Implicit, Ipopt, Riccati
 
 
 def random_case(seed):
@@ -39,12 +39,13 @@ def random_case(seed):
     return problem, demonstration, rng.normal(size=3)
 
 
+@pytest.mark.parametrize("solver", [Ipopt(), Riccati()], ids=lambda solver: type(solver).__name__)
 @pytest.mark.parametrize("first", range(0, 40, 10))
-def test_a_certified_gradient_agrees_with_finite_differences(first):
+def test_a_certified_gradient_agrees_with_finite_differences(first, solver):
     compared = 0
     for seed in range(first, first + 10):
         problem, demonstration, psi = random_case(seed)
-        implicit = Implicit(policy="flag")(problem, demonstration, psi)
+        implicit = Implicit(solver, policy="flag")(problem, demonstration, psi)
         if not implicit.certificate.certified:
             continue
         method = FiniteDifference(Ipopt(tolerance=1e-12), step=1e-3, policy="flag")

@@ -1,4 +1,4 @@
-"""Ipopt and gradient descent against closed forms, against each other, and against their own audit."""
+"""Ipopt, Riccati and gradient descent against closed forms, against each other, and against their own audit."""
 
 import re
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from problems import integrator, pendulum
 
-from kpirl_ocp import OCP, GradientDescent, Ipopt, Status
+from kpirl_ocp import OCP, GradientDescent, Ipopt, Riccati, Status
 from kpirl_ocp.errors import ProblemError, SolveError
 from kpirl_ocp.ocp.kkt import audit
 from kpirl_ocp.types import Trajectory
@@ -66,7 +66,7 @@ def riccati():
     return np.concatenate([[X0 @ P @ X0], *states, *actions, *costates, np.zeros(T * (3 + 2))])
 
 
-@pytest.mark.parametrize("solver", [Ipopt(), GradientDescent(600, 0.0125)], ids=str)
+@pytest.mark.parametrize("solver", [Ipopt(), Riccati(), GradientDescent(600, 0.0125)], ids=str)
 def test_lqr_equals_the_riccati_recursion(solver):
     s, u = ca.SX.sym("s", 3), ca.SX.sym("u", 2)
     f, cost, end = ca.DM(A) @ s + ca.DM(B) @ u, ca.bilin(Q, s, s) + ca.bilin(R, u, u), ca.bilin(Q_END, s, s)
@@ -90,7 +90,7 @@ ONE_STEP = {  # problem, action, multipliers of dynamics, state, action, path
     "initial state outside the bounds": (one_step(to_target(2), state_bounds=(0.5, 9)), 1, (-2, 0, 0)),
     "path constraint": (one_step(to_target(2), lambda u: u - 0.5), 0.5, (-3, 0, 0, 2)),
 }
-ROWS = [(name, Ipopt(), 1e-10) for name in ONE_STEP]
+ROWS = [(name, solver, 1e-10) for name in ONE_STEP for solver in (Ipopt(), Riccati())]
 FREE_STATES = [name for name, (problem, *_) in ONE_STEP.items() if not problem.has_state_constraints]
 ROWS += [(name, GradientDescent(200, 0.1, project=True), 1e-15) for name in FREE_STATES]
 
@@ -143,8 +143,9 @@ def test_audit_notices_a_perturbed_point(case):
     np.testing.assert_allclose(torn.feasibility, violated[case], rtol=0, atol=1e-10)
 
 
-def test_constraints_hold_and_their_multipliers_are_complementary():
-    solution = Ipopt().solve(MASS, *AT_MASS).raise_if_failed()
+@pytest.mark.parametrize("solver", [Ipopt(), Riccati()], ids=str)
+def test_constraints_hold_and_their_multipliers_are_complementary(solver):
+    solution = solver.solve(MASS, *AT_MASS).raise_if_failed()
     multipliers = solution.multipliers
     path = np.array(MASS.path(solution.states.T, solution.actions.T, *AT_MASS[1:])).T
     for slack, multiplier, active in [
@@ -162,12 +163,13 @@ def test_constraints_hold_and_their_multipliers_are_complementary():
     np.testing.assert_allclose([pulled.sign, pulled.complementarity], [3, 3 * -path.min()], rtol=1e-9)
 
 
-def test_warm_start_takes_fewer_iterations_to_the_same_solution():
-    before, shifted = Ipopt().solve(MASS, *AT_MASS), ([0.01, 0.0], *AT_MASS[1:])
-    warm, cold = Ipopt().solve(MASS, *shifted, guess=before), Ipopt().solve(MASS, *shifted)
+@pytest.mark.parametrize("solver", [Ipopt(), Riccati()], ids=str)
+def test_warm_start_takes_fewer_iterations_to_the_same_solution(solver):
+    before, shifted = solver.solve(MASS, *AT_MASS), ([0.01, 0.0], *AT_MASS[1:])
+    warm, cold = solver.solve(MASS, *shifted, guess=before), solver.solve(MASS, *shifted)
     assert warm.status is cold.status is Status.CONVERGED
     assert warm.iterations < cold.iterations
-    assert Ipopt().solve(MASS, *AT_MASS, guess=before).iterations <= 2 < before.iterations
+    assert solver.solve(MASS, *AT_MASS, guess=before).iterations <= 2 < before.iterations
     np.testing.assert_allclose(warm.actions, cold.actions, rtol=0, atol=1e-9)
 
 
@@ -177,8 +179,9 @@ AT_ONE = {"action": {"action_bounds": UP}, "state": {"state_bounds": UP}, "path"
 
 @pytest.mark.parametrize(("tau", "scale"), [(1e-1, 1), (1e-3, 1), (1e-5, 1), (1e-1, 1e3)])
 @pytest.mark.parametrize("kind", AT_ONE)
-def test_barrier_solution_has_multiplier_times_slack_equal_to_tau(kind, tau, scale):
-    solution = Ipopt(barrier=tau).solve(one_step(lambda u, s: (scale * (u - 2) ** 2, 0), **AT_ONE[kind]), [0.0])
+@pytest.mark.parametrize("solver", [Ipopt(), Riccati()], ids=str)
+def test_barrier_solution_has_multiplier_times_slack_equal_to_tau(solver, kind, tau, scale):
+    solution = solver.with_barrier(tau).solve(one_step(lambda u, s: (scale * (u - 2) ** 2, 0), **AT_ONE[kind]), [0.0])
     u = (3 - np.sqrt(1 + 2 * tau / scale)) / 2  # 2 scale (u - 2) + tau / (1 - u) = 0
     multiplier, slack = getattr(solution.multipliers, kind), 1 - solution.actions
     assert (solution.status, solution.barrier) == (Status.CONVERGED, tau)
@@ -187,9 +190,10 @@ def test_barrier_solution_has_multiplier_times_slack_equal_to_tau(kind, tau, sca
     assert solution.residuals.worst < 1e-10 / (1 - u)
 
 
-def test_barrier_pushes_from_both_sides():
+@pytest.mark.parametrize("solver", [Ipopt(), Riccati()], ids=str)
+def test_barrier_pushes_from_both_sides(solver):
     tau = 1e-3
-    solution = Ipopt().with_barrier(tau).solve(MASS, *AT_MASS).raise_if_failed()
+    solution = solver.with_barrier(tau).solve(MASS, *AT_MASS).raise_if_failed()
     u, multipliers = solution.actions, solution.multipliers
     path = np.array(MASS.path(solution.states.T, u.T, *AT_MASS[1:])).T
     np.testing.assert_allclose(multipliers.action, tau / (1 - u) - tau / (u + 1), rtol=1e-7)
@@ -200,6 +204,7 @@ def test_barrier_pushes_from_both_sides():
 APART = one_step(to_target(2), action_bounds=(-1, 1), state_bounds=(2, 9))
 ROOT = one_step(lambda u, s: (-ca.sqrt(u - 0.1), 0), action_bounds=(-1, 1))
 IMAGINARY = one_step(to_target(2), dynamics=lambda s, u: ca.sqrt(-1 - u**2))
+INFINITE_CURVATURE = one_step(lambda u, s: (u**1.5, (s - 2) ** 2))
 OUTCOMES = {  # solver, problem, status
     "descent arrives": (GradientDescent(100, 0.2), one_step(to_target(2)), Status.CONVERGED),
     "descent falls short": (GradientDescent(2, 0.1), one_step(to_target(2)), Status.STEPS_TAKEN),
@@ -208,6 +213,11 @@ OUTCOMES = {  # solver, problem, status
     "one iteration": (Ipopt(max_iterations=1), ONE_STEP["upper action bound"][0], Status.ITERATION_LIMIT),
     "bounds that exclude each other": (Ipopt(), APART, Status.INFEASIBLE),
     "Ipopt meets NaN": (Ipopt(), IMAGINARY, Status.NOT_FINITE),
+    "Riccati: cost without a minimum": (Riccati(), one_step(lambda u, s: (u, s)), Status.DIVERGED),
+    "Riccati: one iteration": (Riccati(max_iterations=1), ONE_STEP["upper action bound"][0], Status.ITERATION_LIMIT),
+    "Riccati: bounds that exclude each other": (Riccati(), APART, Status.INFEASIBLE),
+    "Riccati meets NaN": (Riccati(), IMAGINARY, Status.NOT_FINITE),
+    "Riccati meets infinity in second derivatives only": (Riccati(), INFINITE_CURVATURE, Status.NOT_FINITE),
     "descent meets NaN": (GradientDescent(), IMAGINARY, Status.NOT_FINITE),
     "steps too long, until overflow": (GradientDescent(5000, 0.6), one_step(to_target(2)), Status.DIVERGED),
     "projected descent meets NaN": (GradientDescent(project=True), ROOT, Status.NOT_FINITE),
@@ -238,7 +248,7 @@ def test_gradient_descent_refuses_what_it_would_ignore(case, project, message):
     assert solver.solve(problem.unconstrained(), [0.0]).status is Status.STEPS_TAKEN
 
 
-@pytest.mark.parametrize("solver", [Ipopt(), GradientDescent(50, 0.1, project=True)], ids=str)
+@pytest.mark.parametrize("solver", [Ipopt(), Riccati(), GradientDescent(50, 0.1, project=True)], ids=str)
 def test_solving_twice_gives_identical_bits_also_after_another_problem_and_when_built_anew(solver):
     first = solver.solve(*CASES["bounded"])
     solver.solve(FORCE_BOUNDED, [0.3, -0.2], *AT_MASS[1:])

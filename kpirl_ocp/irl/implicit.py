@@ -5,7 +5,8 @@ theorem gives
 
     dL/dpsi = -vbar . dF/dpsi,    (dF/dv) vbar = (dL/dw, 0, 0),
 
-one adjoint solve with the symmetric KKT matrix (`kpirl_ocp.ocp.sensitivity`), however many parameters there are.
+one adjoint solve with the symmetric KKT matrix, however many parameters there are. It is a backward and a forward
+sweep over the stages (`kpirl_ocp.ocp.response`): O(T) in time and memory.
 """
 
 from __future__ import annotations
@@ -21,18 +22,20 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradient import Certificate, HypergradientResult, check_policy, enforce, not_finite, seen
 from kpirl_ocp.irl.loss import Loss, squared_distance
+from kpirl_ocp.ocp.factorisation import Factorisation
 from kpirl_ocp.ocp.ipopt import Ipopt
 from kpirl_ocp.ocp.probe import Probe, probe
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.sensitivity import Factorisation, Instance, linearise, primal_dual, scatter
-from kpirl_ocp.ocp.solver import Guess, Solver
+from kpirl_ocp.ocp.response import Response
+from kpirl_ocp.ocp.sensitivity import Instance, linearise, primal_dual
+from kpirl_ocp.ocp.solver import BarrierSolver, Guess, Solver
 from kpirl_ocp.types import Demonstration, Mask, Solution, Status
 
 # What a certified gradient needs. Every bound sits well above what rounding and a solver tolerance of 1e-10 leave
 # behind, and well below what a healthy problem shows.
 KKT_RESIDUAL = 1e-6
 CURVATURE = 1e-8
-QUALIFICATION = 1e-7
+QUALIFICATION = 1e-5
 STEP = 1e-5
 MARGIN = 1e-7
 CHANGE = 1e-4
@@ -74,7 +77,7 @@ class ImplicitCertificate(Certificate):
 class Implicit:
     """The gradient of the loss at the solution of the OCP.
 
-    solver: any solver; the policy "smooth" needs one that can solve the smoothed problem (Ipopt).
+    solver: any solver; the policy "smooth" needs one that can solve the smoothed problem (Riccati, Ipopt).
     policy: what to do with a gradient that is not certified: "raise" CertificateError, "flag" it in the certificate;
         "smooth" solves and differentiates the smoothed problem instead, always, so that loss and gradient agree.
     barrier: tau of "smooth"; the smoothed loss differs from the loss by O(tau), or by O(sqrt(tau)) where a
@@ -88,15 +91,17 @@ class Implicit:
 
     def __post_init__(self) -> None:
         check_policy(self.policy, ("raise", "flag", "smooth"))
-        if self.policy == "smooth" and not (isinstance(self.solver, Ipopt) and self.barrier > 0):
-            raise ProblemError("policy='smooth' needs barrier > 0 and a solver for the smoothed problem: Ipopt().")
+        if self.policy == "smooth" and not (isinstance(self.solver, BarrierSolver) and self.barrier > 0):
+            raise ProblemError(
+                "policy='smooth' needs barrier > 0 and a solver for the smoothed problem: Riccati() or Ipopt()."
+            )
 
     def __call__(
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
         """See `Hypergradient`."""
         solver: Solver = self.solver
-        if self.policy == "smooth" and isinstance(solver, Ipopt):
+        if self.policy == "smooth" and isinstance(solver, BarrierSolver):
             solver = solver.with_barrier(self.barrier)
         solution = solver.solve(problem, demonstration.s0, psi, demonstration.context, guess)
         return enforce(self.policy, differentiate(problem, demonstration, psi, solution, self.loss))
@@ -115,32 +120,28 @@ def differentiate(
     if not system.finite or not np.isfinite(slope).all():
         return _undefined(value, len(psi), solution, active)
 
-    factors = Factorisation(system)
-    w, costates, forces, residual = factors.solve(slope, np.zeros(system.n_defects), np.zeros(int(active.sum())))
-    forces = scatter(active, forces) + system.stiffness * (system.rows @ w)
-    multipliers = (point.costates, instance.path_forces(point.forces))
-    adjoint = (w, costates, instance.path_forces(forces))
-    gradient = -np.array(instance.nlp.cross(*instance.at(point.w), *multipliers, *adjoint)).ravel()
+    response = Response(system, Factorisation(system))
+    adjoint = response.pull(slope)
 
     nearby = Probe(np.inf, np.nan, np.inf, np.inf)
-    if np.isfinite(w).all():
-        nearby = probe(instance, system, factors, slope, w)
+    if np.isfinite(adjoint.adjoint).all():
+        nearby = probe(instance, system, response.factors, slope, adjoint.adjoint)
     evidence = ImplicitCertificate(
         solution=solution,
         failures=(),
         kkt_residual=solution.residuals.worst,
-        curvature=factors.curvature,
-        qualification=factors.qualification,
+        curvature=response.factors.curvature,
+        qualification=response.factors.qualification,
         step=nearby.step,
         margin=nearby.margin,
         change=nearby.change,
         kink=nearby.kink,
-        linear_residual=residual,
+        linear_residual=adjoint.residual,
         active=active,
         barrier=solution.barrier,
     )
-    failures = tuple(not_finite(value, gradient) + _failures(evidence))
-    return HypergradientResult(value, gradient, replace(evidence, failures=failures))
+    failures = tuple(not_finite(value, adjoint.psi) + _failures(evidence))
+    return HypergradientResult(value, adjoint.psi, replace(evidence, failures=failures))
 
 
 @lru_cache(maxsize=64)

@@ -35,15 +35,18 @@ class DynamicsDerivatives:
 
     @classmethod
     def by_ad(cls, dynamics: ca.Function) -> DynamicsDerivatives:
-        """The derivatives of any f(s, u, psi) that CasADi can differentiate."""
-        s, u, psi = (ca.MX.sym(name, dynamics.size1_in(i)) for i, name in enumerate(("s", "u", "psi")))
-        ds, du = ca.MX.sym("ds", s.numel()), ca.MX.sym("du", u.numel())
-        value, both = dynamics(s, u, psi), ca.vertcat(s, u)
-        lam = ca.MX.sym("lam", s.numel())
+        """The derivatives of any f(s, u, psi) that CasADi can differentiate: of scalar graphs (SX) as scalar graphs."""
+        kind = ca.SX if dynamics.is_a("SXFunction") else ca.MX
+        s, u, psi = (kind.sym(name, dynamics.size1_in(i)) for i, name in enumerate(("s", "u", "psi")))
+        ds, du, lam = kind.sym("ds", s.numel()), kind.sym("du", u.numel()), kind.sym("lam", s.numel())
+        value = dynamics(s, u, psi)
         pairing = ca.dot(lam, value)
+        slope = ca.vertcat(ca.gradient(pairing, s), ca.gradient(pairing, u))
+        hessian = ca.cse(ca.horzcat(ca.jacobian(slope, s), ca.jacobian(slope, u)))
+        moved = ca.jtimes(value, s, ds) + ca.jtimes(value, u, du)
         return cls(
-            jvp=ca.Function("jvp", [s, u, psi, ds, du], [ca.jtimes(value, both, ca.vertcat(ds, du))]),
+            jvp=ca.Function("jvp", [s, u, psi, ds, du], [moved]),
             vjp=ca.Function("vjp", [s, u, psi, lam], [ca.gradient(pairing, x) for x in (s, u, psi)]),
             jacobian=ca.Function("jacobian", [s, u, psi], [ca.jacobian(value, s), ca.jacobian(value, u)]),
-            hessian=ca.Function("hessian", [s, u, psi, lam], [ca.hessian(pairing, both)[0]]),
+            hessian=ca.Function("hessian", [s, u, psi, lam], [hessian]),
         )

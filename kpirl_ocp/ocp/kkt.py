@@ -2,8 +2,8 @@
 
     w = (s_1 .. s_T, u_0 .. u_{T-1}),   Lagrangian(w) = J + lambda . (f(s, u) - s_next) + mu . h + nu . w
 
-with bounds on w whose multipliers nu are positive at an upper and negative at a lower bound. Everything that needs the
-optimality conditions (Ipopt, the audit of a solution, the implicit gradient) reads them from here.
+with bounds on w whose multipliers nu are positive at an upper and negative at a lower bound. Ipopt and the audit of a
+solution read the optimality conditions from here; `kpirl_ocp.ocp.stages` has them stage by stage.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+import scipy.sparse
 
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.types import Array, Indices, KKTResiduals, Mask, Multipliers, Trajectory
@@ -24,16 +25,11 @@ class NLP:
 
     n_w = T n_s + T n_u. values: -> objective, defects (T n_s,), path constraints (T n_h,).
     first: also (lambda, mu) -> gradient of J, gradient of J + lambda.defects + mu.path with respect to w.
-    second: also (lambda, mu) -> Hessian of that Lagrangian, Jacobian of the defects, Jacobian of the path constraints.
-    cross: also (lambda, mu, dw, dlambda, dmu) -> gradient with respect to psi of
-        dw . grad_w Lagrangian + dlambda . defects + dmu . path.
     """
 
     symbols: dict[str, ca.MX]
     values: ca.Function
     first: ca.Function
-    second: ca.Function
-    cross: ca.Function
     lower: Array
     upper: Array
     n_defects: int
@@ -59,18 +55,12 @@ def transcribe(problem: OCP) -> NLP:
 
     lam, mu = ca.MX.sym("lam", defects.numel()), ca.MX.sym("mu", path.numel())
     lagrangian = objective + ca.dot(lam, defects) + ca.dot(mu, path)
-    hessian, gradient = ca.hessian(lagrangian, w)
-    dw, dlam, dmu = ca.MX.sym("dw", w.numel()), ca.MX.sym("dlam", lam.numel()), ca.MX.sym("dmu", mu.numel())
-    moved = ca.dot(dw, gradient) + ca.dot(dlam, defects) + ca.dot(dmu, path)
-
     point = [w, s0, psi, context]
     bounds = [np.concatenate([np.tile(s, steps), np.tile(u, steps)]) for s, u in _bound_pairs(problem)]
     return NLP(
         symbols={"w": w, "p": ca.vertcat(s0, psi, context), "s0": s0, "psi": psi, "c": context},
         values=ca.Function("values", point, [objective, defects, path]),
-        first=ca.Function("first", [*point, lam, mu], [ca.gradient(objective, w), gradient]),
-        second=ca.Function("second", [*point, lam, mu], [hessian, ca.jacobian(defects, w), ca.jacobian(path, w)]),
-        cross=ca.Function("cross", [*point, lam, mu, dw, dlam, dmu], [ca.gradient(moved, psi)]),
+        first=ca.Function("first", [*point, lam, mu], [ca.gradient(objective, w), ca.gradient(lagrangian, w)]),
         lower=bounds[0],
         upper=bounds[1],
         n_defects=defects.numel(),
@@ -156,10 +146,18 @@ class Inequalities:
         net[self.upper] += forces[split : split + len(self.upper)]
         return net
 
-    def jacobian(self, path_jacobian: Array) -> Array:
+    def jacobian(self, path_jacobian: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
         """Jacobian (n_ineq, n_w) of the constraint values -slack, from that of the path constraints (T n_h, n_w)."""
-        identity = np.eye(path_jacobian.shape[1])
-        return np.vstack([-identity[self.lower], identity[self.upper], path_jacobian])
+        entries = np.concatenate([self.lower, self.upper])
+        signs = np.repeat([-1.0, 1.0], [len(self.lower), len(self.upper)])
+        return scipy.sparse.csr_matrix(
+            (
+                np.concatenate([signs, path_jacobian.data]),
+                np.concatenate([entries, path_jacobian.indices]),
+                np.concatenate([np.arange(len(entries)), len(entries) + path_jacobian.indptr]),
+            ),
+            (len(entries) + path_jacobian.shape[0], path_jacobian.shape[1]),
+        )
 
 
 def audit(

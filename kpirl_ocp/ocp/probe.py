@@ -17,10 +17,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kpirl_ocp.ocp.sensitivity import Factorisation, Instance, KKTSystem, PrimalDual, linearise, scatter
+from kpirl_ocp.ocp.factorisation import Factorisation
+from kpirl_ocp.ocp.sensitivity import Instance, KKTSystem, PrimalDual, linearise, scatter
 from kpirl_ocp.types import Array
 
 _KNOWN = 1e-9  # relative accuracy to which no solution is known better
+_SOLVED = 1e-6  # relative residual of the adjoint after the step; above it the old factors are of no use there
+_NOTHING = 1e-8  # an adjoint this much shorter than a free one is zero up to rounding: the constraints leave no freedom
 _DIFFERENCE = 1e-6  # step of the difference quotient, relative to w: truncation about 1e-12, rounding about 1e-10
 
 
@@ -50,8 +53,9 @@ def probe(instance: Instance, system: KKTSystem, factors: Factorisation, right: 
     again = linearise(instance, nearby, system.active)
     change = np.inf
     if again.finite:
-        moved = Factorisation(again).solve(right, np.zeros(system.n_defects), np.zeros(int(system.active.sum())))[0]
-        change = _relative(moved - adjoint, adjoint)
+        nothing = np.zeros(len(system.defects)), np.zeros(int(system.active.sum()))
+        moved, *_, residual = factors.solve(right, *nothing, again)
+        change = _relative(moved - adjoint, adjoint, _NOTHING * factors.size(right)) if residual <= _SOLVED else np.inf
     return Probe(step, margin, change, _kink(instance, system, adjoint))
 
 
@@ -62,7 +66,8 @@ def _newton(instance: Instance, system: KKTSystem, factors: Factorisation) -> tu
     if smoothed:
         with np.errstate(divide="ignore"):
             forces = np.where(system.equal, forces, instance.barrier / system.slack)
-    unbalanced = system.gradient + system.rows.T @ forces
+    path = np.arange(len(forces)) >= len(forces) - len(instance.path_forces(forces))
+    unbalanced = system.gradient + system.transposed_rows @ (forces - np.where(path, point.forces, 0.0))
     dw, costates, pushes, _ = factors.solve(-unbalanced, -system.defects, system.slack[active])
     forces, slack = forces + scatter(active, pushes), system.slack - system.rows @ dw
     margins = np.where(active, forces, slack)[~system.equal]
@@ -77,17 +82,13 @@ def _kink(instance: Instance, system: KKTSystem, adjoint: Array) -> float:
         return 0.0
     point = system.point
     step = _DIFFERENCE * (1 + np.abs(point.w).max()) / size
-    multipliers = (point.costates, instance.path_forces(point.forces))
-    right, left = (
-        np.array(instance.nlp.first(*instance.at(point.w + sign * step * adjoint), *multipliers)[1]).ravel()
-        for sign in (1, -1)
-    )
+    right, left = (instance.gradient(replace(point, w=point.w + sign * step * adjoint)) for sign in (1, -1))
     difference = (right - left) / (2 * step)
-    return _relative(difference - system.hessian @ adjoint, difference)
+    return _relative(difference - system.times_hessian(adjoint), difference)
 
 
-def _relative(part: Array, whole: Array) -> float:
-    """|part| / |whole|; NaN and infinity count as infinite."""
-    size = float(np.linalg.norm(whole))
+def _relative(part: Array, whole: Array, floor: float = 0.0) -> float:
+    """|part| / |whole|, the latter at least `floor`; NaN and infinity count as infinite."""
+    size = max(float(np.linalg.norm(whole)), floor)
     ratio = float(np.linalg.norm(part)) / size if size > 0 else 0.0
     return ratio if np.isfinite(ratio) else np.inf

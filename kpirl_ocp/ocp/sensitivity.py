@@ -1,10 +1,9 @@
-"""The KKT system at a point, factorised once and solved for any right-hand side.
+"""The KKT system at a solution, stage by stage.
 
-    H w + A^T lambda + C^T mu = r_w,    A w = r_d,    C w = r_c
+    H w + A' lambda + C' mu = r_w,    A w = r_d,    C w = r_c
 
-H is the exact Hessian of the Lagrangian, A = (A_s, A_u) the Jacobian of the defects, C that of the active inequalities.
-Condensing removes the dynamics: w = w_p + Z y with Z = (-A_s^{-1} A_u, I) leaves a small dense system in the actions,
-and the null space of C Z shows the second-order condition and the constraint qualification.
+H is the exact Hessian of the Lagrangian, A the Jacobian of the defects, C that of the active inequalities; all of them
+are products over stages, so that nothing here is larger than T blocks. `kpirl_ocp.ocp.factorisation` solves it.
 
 Smoothed with a barrier parameter tau, every inequality g <= 0 leaves C and adds mu / slack grad g grad g^T to H
 instead, with mu = tau / slack; only equalities (coinciding bounds) stay in C.
@@ -13,17 +12,16 @@ instead, with mu = tau / slack; only equalities (coinciding bounds) stay in C.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse
-import scipy.sparse.linalg
 
+from kpirl_ocp.ocp.calls import call
 from kpirl_ocp.ocp.kkt import NLP, Inequalities, pack, transcribe
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.types import Array, Mask, Solution
-
-_RANK = 1e-12  # singular values of rows of length one below this are zero
+from kpirl_ocp.ocp.stages import by_time, first, second, values
+from kpirl_ocp.types import Array, Indices, Mask, Solution
 
 
 @dataclass(frozen=True)
@@ -42,12 +40,18 @@ class Instance:
         return transcribe(self.problem)
 
     def at(self, w: Array) -> tuple[Array, Array, Array, Array]:
-        """The arguments (w, s0, psi, c) that functions of `NLP` begin with."""
-        return w, self.s0, self.psi, self.context
+        """The arguments (S, U, psi, c), flat, that functions of `kpirl_ocp.ocp.stages` begin with."""
+        split = self.problem.horizon * self.problem.n_states
+        return np.concatenate([self.s0, w[:split]]), w[split:], self.psi, self.context
 
     def path_forces(self, forces: Array) -> Array:
         """The entries (T n_h,) of the path constraints in a list over all inequalities."""
         return forces[len(forces) - self.problem.horizon * self.problem.n_path :]
+
+    def gradient(self, point: PrimalDual) -> Array:
+        """Gradient (n_w,) of J + lambda.defects + mu.path."""
+        outputs = call(self.problem, first)(*self.at(point.w), point.costates, self.path_forces(point.forces))
+        return by_time(self.problem, outputs[5], outputs[6])[self.problem.n_states :]
 
 
 @dataclass(frozen=True)
@@ -63,17 +67,20 @@ class PrimalDual:
 class KKTSystem:
     """First and second derivatives at a point; the inequalities are listed as in `Inequalities`.
 
-    hessian: of J + lambda.defects + mu.path (n_w, n_w). jacobian: of the defects (T n_s, n_w).
-    rows: Jacobian of the inequalities' values -slack (n_ineq, n_w). slack: (n_ineq,).
-    gradient: of J + lambda.defects (n_w,). defects: (T n_s,).
+    F, G, H: transposed blocks (T, n_x, n_s), (T, n_x, n_h), (T, n_x, n_x) of `stages.second`. H_last: (n_s, n_s).
+    rows: Jacobian of the inequalities' values -slack (n_ineq, n_w), sparse. slack: (n_ineq,).
+    gradient: of J + lambda.defects + mu.path (n_w,). defects: (T n_s,).
     active: (n_ineq,) which rows are constraints. equal: (n_ineq,) which of them are equalities.
     stiffness: (n_ineq,) mu / slack of smoothed rows, zero for the others.
     """
 
+    instance: Instance
     point: PrimalDual
-    hessian: scipy.sparse.csc_matrix
-    jacobian: scipy.sparse.csc_matrix
-    rows: Array
+    F: Array
+    G: Array
+    H: Array
+    H_last: Array
+    rows: scipy.sparse.csr_matrix
     gradient: Array
     defects: Array
     slack: Array
@@ -84,13 +91,86 @@ class KKTSystem:
     @property
     def finite(self) -> bool:
         """True if no derivative holds NaN or infinity."""
-        parts = (self.hessian.data, self.jacobian.data, self.rows, self.gradient, self.stiffness)
+        parts = (self.F, self.G, self.H, self.H_last, self.gradient, self.stiffness)
         return all(np.isfinite(part).all() for part in parts)
 
-    @property
-    def n_defects(self) -> int:
-        """T n_s, which is also how many entries of w are states."""
-        return len(self.defects)
+    @cached_property
+    def constraints(self) -> scipy.sparse.csr_matrix:
+        """C (n_active, n_w)."""
+        return self.rows[np.flatnonzero(self.active)]
+
+    @cached_property
+    def transposed_constraints(self) -> scipy.sparse.csc_matrix:
+        """C' (n_w, n_active)."""
+        return self.constraints.T
+
+    @cached_property
+    def transposed_rows(self) -> scipy.sparse.csc_matrix:
+        """(n_w, n_ineq)."""
+        return self.rows.T
+
+    @cached_property
+    def only_actions(self) -> bool:
+        """True if every active row bounds an action."""
+        first = len(self.active) - self.G.shape[0] * self.G.shape[2]  # path constraint
+        return not self.active[first:].any() and not (self.constraints.indices < len(self.defects)).any()
+
+    def with_rows(self, H: Array, H_last: Array, weights: Array) -> tuple[Array, Array]:
+        """H + rows' diag(weights) rows, as blocks (T, n_x, n_x) and (n_s, n_s); weights (n_ineq,)."""
+        (steps, _, n_h), n_x = self.G.shape, H.shape[1]
+        split = len(weights) - steps * n_h
+        bounds, path = weights[:split], weights[split:].reshape(steps, 1, n_h)
+        diagonal, last = self.by_stage(self._add_bounds(bounds))
+        result = H + (self.G * path) @ self.G.transpose(0, 2, 1) if n_h else H.copy()
+        result[:, np.arange(n_x), np.arange(n_x)] += diagonal
+        return result, H_last + np.diag(last)
+
+    def _add_bounds(self, weights: Array) -> Array:
+        """Sum (n_w,) of the weights of all bounds on an entry of w."""
+        return np.bincount(self.rows.indices[: len(weights)], weights, self.rows.shape[1]).astype(float)
+
+    def row_variances(self, covariance: Array, last: Array) -> Array:
+        """row . Cov . row (n_ineq,) for covariances of x_t (T, n_x, n_x) and of s_T (n_s, n_s)."""
+        split = len(self.active) - self.G.shape[0] * self.G.shape[2]
+        variances = self.flat(np.diagonal(covariance, axis1=1, axis2=2), np.diag(last))
+        path = np.einsum("tih,tij,tjh->th", self.G, covariance, self.G)
+        return np.concatenate([variances[self.rows.indices[:split]], path.ravel()])
+
+    def by_stage(self, w: Array) -> tuple[Array, Array]:
+        """x_t (T, n_x) with zeros for the given s_0, and s_T (n_s,), of w (n_w,)."""
+        steps, n_s, n_x = len(self.H), len(self.H_last), self.H.shape[1]
+        x = np.zeros((steps, n_x))
+        states = w[: steps * n_s].reshape(steps, n_s)
+        x[1:, :n_s], x[:, n_s:] = states[:-1], w[steps * n_s :].reshape(steps, -1)
+        return x, states[-1]
+
+    def flat(self, x: Array, last: Array) -> Array:
+        """w (n_w,) of x_t (T, n_x), of which s_0 is dropped, and s_T (n_s,)."""
+        n_s = len(last)
+        return np.concatenate([x[1:, :n_s].ravel(), last, x[:, n_s:].ravel()])
+
+    def times_hessian(self, w: Array) -> Array:
+        """H w (n_w,), without stiffness."""
+        x, last = self.by_stage(w)
+        return self.flat((self.H @ x[:, :, None])[:, :, 0], self.H_last @ last)
+
+    def times_jacobian(self, w: Array) -> Array:
+        """A w (T n_s,)."""
+        x, _ = self.by_stage(w)
+        return (x[:, None, :] @ self.F).ravel() - w[: len(self.defects)]
+
+    def times_transposed_jacobian(self, costates: Array) -> Array:
+        """A' lambda (n_w,)."""
+        n_s = len(self.H_last)
+        product = self.flat((self.F @ costates.reshape(-1, n_s, 1))[:, :, 0], np.zeros(n_s))
+        product[: len(costates)] -= costates
+        return product
+
+    def times_stiff_hessian(self, w: Array) -> Array:
+        """(H + rows' stiffness rows) w (n_w,)."""
+        if self.instance.barrier == 0:
+            return self.times_hessian(w)
+        return self.times_hessian(w) + self.transposed_rows @ (self.stiffness * (self.rows @ w))
 
 
 def primal_dual(instance: Instance, solution: Solution) -> tuple[PrimalDual, Mask]:
@@ -101,8 +181,7 @@ def primal_dual(instance: Instance, solution: Solution) -> tuple[PrimalDual, Mas
     wrong; `kpirl_ocp.ocp.probe` finds out.
     """
     w = pack(solution.trajectory)
-    path = np.array(instance.nlp.values(*instance.at(w))[2]).ravel()
-    rows = Inequalities.at(instance.nlp, w, path)
+    rows = Inequalities.at(instance.nlp, w, call(instance.problem, values)(*instance.at(w))[2])
     forces = rows.forces(solution.multipliers, solution.barrier)
     duplicate = rows.equal & (np.arange(len(rows.equal)) >= len(rows.lower))  # the upper side of an equality
     active = rows.equal if solution.barrier > 0 else (forces > rows.slack) | rows.equal
@@ -111,20 +190,24 @@ def primal_dual(instance: Instance, solution: Solution) -> tuple[PrimalDual, Mas
 
 def linearise(instance: Instance, point: PrimalDual, active: Mask) -> KKTSystem:
     """Evaluate the KKT system at a point for a given active set."""
-    nlp, arguments, mu = instance.nlp, instance.at(point.w), instance.path_forces(point.forces)
-    hessian, jacobian, path_jacobian = (matrix.sparse() for matrix in nlp.second(*arguments, point.costates, mu))
-    _, defects, path = (np.array(value).ravel() for value in nlp.values(*arguments))
-    gradient = np.array(nlp.first(*arguments, point.costates, np.zeros_like(mu))[1]).ravel()
-    rows = Inequalities.at(nlp, point.w, path)
+    problem, mu = instance.problem, instance.path_forces(point.forces)
+    outputs = call(problem, second)(*instance.at(point.w), point.costates, mu)
+    _, defects, path, _, _, r, r_last, F, G, H, H_last = outputs
+    steps, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
+    G = G.reshape(steps, n_x, problem.n_path)
+    rows = Inequalities.at(instance.nlp, point.w, path)
     smoothed = ~rows.equal if instance.barrier > 0 else np.zeros(len(rows.equal), bool)
     with np.errstate(divide="ignore", invalid="ignore"):
         stiffness = np.where(smoothed, instance.barrier / rows.slack**2, 0.0)
     return KKTSystem(
+        instance=instance,
         point=point,
-        hessian=hessian,
-        jacobian=jacobian,
-        rows=rows.jacobian(path_jacobian.toarray()),
-        gradient=gradient,
+        F=F.reshape(steps, n_x, n_s),
+        G=G,
+        H=H.reshape(steps, n_x, n_x),
+        H_last=H_last.reshape(n_s, n_s),
+        rows=rows.jacobian(_path_jacobian(problem, G)),
+        gradient=by_time(problem, r, r_last)[n_s:],
         defects=defects,
         slack=rows.slack,
         active=active,
@@ -133,68 +216,25 @@ def linearise(instance: Instance, point: PrimalDual, active: Mask) -> KKTSystem:
     )
 
 
-class Factorisation:
-    """The factors of a KKT system.
-
-    curvature: smallest eigenvalue of the reduced Hessian over the largest |eigenvalue| of the condensed one; infinite
-        when the active constraints leave no freedom. softest: (n_w,) the direction of that eigenvalue, of length one.
-    qualification: smallest singular value of the active rows in the actions, scaled to length one; infinite without.
-    """
-
-    def __init__(self, system: KKTSystem) -> None:
-        n = system.n_defects
-        self._system = system
-        self._states = scipy.sparse.linalg.splu(system.jacobian[:, :n].tocsc())
-        by_actions = system.jacobian[:, n:].toarray()
-        self._basis = np.vstack([-self._states.solve(by_actions), np.eye(by_actions.shape[1])])  # Z
-        self._active = system.rows[system.active]
-        self._reduced_rows = self._active @ self._basis
-        self._condensed = self._basis.T @ self._times_hessian(self._basis)
-        self._free, self.qualification = _null_space(self._reduced_rows)
-        self._values, self._vectors = scipy.linalg.eigh(self._free.T @ self._condensed @ self._free)
-        scale = np.abs(scipy.linalg.eigvalsh(self._basis.T @ (system.hessian @ self._basis))).max()
-        self.curvature = np.inf
-        self.softest = np.zeros(len(system.gradient))
-        if len(self._values):
-            self.curvature = float(self._values[0] / scale) if scale > 0 else 0.0
-            direction = self._basis @ (self._free @ self._vectors[:, 0])
-            self.softest = direction / np.linalg.norm(direction)
-
-    def solve(self, right: Array, defects: Array, active: Array) -> tuple[Array, Array, Array, float]:
-        """w, lambda and mu of the active rows for (r_w, r_d, r_c), and the relative residual of the first row.
-
-        A singular reduced Hessian divides by zero: infinities and NaN come out, and `curvature` says why.
-        """
-        n = self._system.n_defects
-        start = np.concatenate([self._states.solve(defects), np.zeros(len(right) - n)])  # A w_p = r_d
-        reduced = self._basis.T @ (right - self._times_hessian(start))
-        step = np.linalg.lstsq(self._reduced_rows, active - self._active @ start, rcond=None)[0]
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            slopes = self._vectors.T @ (self._free.T @ (reduced - self._condensed @ step))
-            y = step + self._free @ (self._vectors @ (slopes / self._values))
-            w = start + self._basis @ y
-            forces = np.zeros(len(self._active))
-            if len(forces) and np.isfinite(y).all():
-                forces = np.linalg.lstsq(self._reduced_rows.T, reduced - self._condensed @ y, rcond=None)[0]
-            unbalanced = right - self._times_hessian(w) - self._active.T @ forces
-            costates = self._states.solve(unbalanced[:n], trans="T")
-            error = np.linalg.norm(unbalanced - self._system.jacobian.T @ costates)
-        return w, costates, forces, float(error / (np.linalg.norm(right) or 1.0))
-
-    def _times_hessian(self, w: Array) -> Array:
-        """(H + rows^T stiffness rows) w, for one column or many."""
-        rows, stiffness = self._system.rows, self._system.stiffness
-        return self._system.hessian @ w + rows.T @ ((stiffness * (rows @ w).T).T)
+def _path_jacobian(problem: OCP, G: Array) -> scipy.sparse.csr_matrix:
+    """Jacobian of the path constraints (T n_h, n_w) from its transposed blocks (T, n_x, n_h)."""
+    kept, columns, starts = _path_pattern(problem)
+    values = G.transpose(0, 2, 1).ravel()[kept]
+    shape = (len(starts) - 1, problem.horizon * (problem.n_states + problem.n_actions))
+    return scipy.sparse.csr_matrix((values, columns, starts), shape)
 
 
-def _null_space(rows: Array) -> tuple[Array, float]:
-    """Orthonormal null space of the rows, and the smallest singular value of the rows scaled to length one."""
-    if not len(rows):
-        return np.eye(rows.shape[1]), np.inf
-    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    _, singular, right = scipy.linalg.svd(rows / np.where(lengths > 0, lengths, 1.0))
-    rank = int((singular > _RANK).sum())
-    return right[rank:].T, float(singular.min()) if len(rows) <= rows.shape[1] else 0.0
+@lru_cache(maxsize=64)
+def _path_pattern(problem: OCP) -> tuple[Indices, Indices, Indices]:
+    """Which entries of the blocks (T, n_h, n_x) are in the Jacobian, their columns in w, and where its rows start."""
+    steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
+    columns = np.full((steps, n_s + n_u), -1)  # where x_t is in w; s_0 is not
+    columns[1:, :n_s] = np.arange((steps - 1) * n_s).reshape(steps - 1, n_s)
+    columns[:, n_s:] = steps * n_s + np.arange(steps * n_u).reshape(steps, n_u)
+    by_row = np.repeat(columns, problem.n_path, axis=0)  # (T n_h, n_x)
+    starts = np.concatenate([[0], np.cumsum((by_row >= 0).sum(axis=1))])
+    kept = np.flatnonzero(by_row.ravel() >= 0)
+    return kept, by_row.ravel()[kept], starts
 
 
 def scatter(active: Mask, values: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +26,15 @@ class Solver(Protocol):
         Raises:
             ProblemError: wrong lengths, or a problem with constraints that this solver does not handle.
         """
+        ...
+
+
+@runtime_checkable
+class BarrierSolver(Solver, Protocol):
+    """A solver that can stop at the solution of min J - tau sum log(slack), a smooth function of psi."""
+
+    def with_barrier(self, barrier: float) -> BarrierSolver:
+        """The same solver for the problem smoothed with tau = barrier > 0."""
         ...
 
 

@@ -1,0 +1,258 @@
+"""The iterates of the interior-point method in numpy, and what is computed at them by compiled functions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from kpirl_ocp.ocp.calls import call
+from kpirl_ocp.ocp.interior_point import BOUNDARY, CENTRE, Rows, newton_step, rows
+from kpirl_ocp.ocp.kkt import largest
+from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.stages import by_time, first, second, values
+from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Trajectory
+
+_PUSH = 1e-2  # how far a cold start is moved inside its bounds, relative to their size and distance
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """A point: s_0 (n_s,), w (n_w,), costates (T n_s,), slacks y and multipliers z (m,), nu of fixed entries."""
+
+    s0: Array
+    w: Array
+    costates: Array
+    y: Array
+    z: Array
+    nu: Array
+
+    def moved(self, step: Step, length: float, dual_length: float | None = None) -> Iterate:
+        """The point after a step of this length; z moves by `dual_length`, or not at all."""
+        return Iterate(
+            s0=self.s0 + length * step.ds0,
+            w=self.w + length * step.dw,
+            costates=self.costates + length * step.dcostates,
+            y=self.y + length * step.dy,
+            z=self.z if dual_length is None else self.z + dual_length * step.dz,
+            nu=self.nu + length * step.dnu,
+        )
+
+
+@dataclass(frozen=True)
+class Step:
+    """A Newton step, its longest lengths that keep y and z positive, and whether all pivots were positive."""
+
+    ds0: Array
+    dw: Array
+    dcostates: Array
+    dy: Array
+    dz: Array
+    dnu: Array
+    primal_length: float
+    dual_length: float
+    regularisation: float
+    positive: bool
+
+    def slope(self, at: Derivatives, tau: float) -> float:
+        """Directional derivative of J - tau sum log y."""
+        moved = np.concatenate([self.ds0, self.dw])
+        return float(at.cost_gradient @ moved - tau * np.sum(self.dy / at.iterate.y))
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """What is known at an iterate; `matrices` are F, G, H, H_T and `slopes` r, r_T of `stages.second`, flat.
+
+    cost_gradient: with respect to s_0 and w. gradient: (n_w,) of the Lagrangian, all multipliers included.
+    defects: (T n_s,). gap: (n_s,) the given s_0 minus that of the iterate. off: violation of the fixed entries.
+    rows: (m,) values of the inequalities.
+    """
+
+    iterate: Iterate
+    objective: float
+    cost_gradient: Array
+    gradient: Array
+    defects: Array
+    gap: Array
+    off: Array
+    rows: Array
+    slopes: list[Array]
+    matrices: list[Array]
+    n_bounds: int
+
+    @cached_property
+    def finite(self) -> bool:
+        """True if no value and no first derivative is NaN or infinite."""
+        parts = (self.cost_gradient, self.gradient, self.defects, self.rows)
+        return bool(np.isfinite(self.objective)) and all(np.isfinite(part).all() for part in parts)
+
+    @cached_property
+    def violation(self) -> float:
+        """theta: sum of absolute residuals of all constraints."""
+        parts = (self.defects, self.gap, self.off, self.rows + self.iterate.y)
+        return float(sum(np.abs(part).sum() for part in parts))
+
+    @cached_property
+    def _stationarity(self) -> float:
+        return largest(self.gradient)
+
+    @cached_property
+    def _feasibility(self) -> float:
+        return largest(np.concatenate([self.defects, self.gap, self.off, np.maximum(self.rows, 0.0)]))
+
+    @cached_property
+    def scale(self) -> float:
+        """What the residuals of stationarity and complementarity are relative to, as in `KKTResiduals`."""
+        it = self.iterate
+        sizes = map(largest, (self.cost_gradient[len(self.gap) :], it.costates, it.z[self.n_bounds :]))
+        return float(np.max([1.0, *sizes]))
+
+    def merit(self, tau: float) -> tuple[float, float]:
+        """theta, and phi = J - tau sum log y."""
+        return self.violation, self.objective - tau * float(np.log(self.iterate.y).sum())
+
+    def residuals(self, tau: float) -> KKTResiduals:
+        """The first-order conditions at the iterate, with complementarity tau."""
+        forces = self.iterate.z
+        return KKTResiduals(
+            stationarity=self._stationarity,
+            feasibility=self._feasibility,
+            complementarity=largest(-self.rows * forces - tau),
+            sign=0.0,  # z > 0 always
+            scale=self.scale,
+        )
+
+
+class Newton:
+    """The functions of one problem with its numbers s0, psi and context."""
+
+    def __init__(self, problem: OCP, s0: Array, psi: Array, context: Array) -> None:
+        self.problem, self.s0, self.psi, self.context = problem, s0, psi, context
+        functions = (values, first, second, newton_step)
+        self._values, self._first, self._second, self._step = (call(problem, build) for build in functions)
+        self._rows: Rows = rows(problem)
+
+    def start(self, guess: Trajectory | None) -> Iterate:
+        """A cold start at a trajectory, or at the rollout of no action: inside the bounds, without multipliers."""
+        problem = self.problem
+        if guess is None:
+            guess = problem.simulate(self.s0, np.zeros((problem.horizon, problem.n_actions)), self.psi)
+        states, actions = problem.as_states(guess.states), problem.as_actions(guess.actions)
+        w = self._inside(np.concatenate([states[1:].ravel(), actions.ravel()]))
+        g = self._rows.evaluate(w, self._path(states[0], w))
+        y = np.maximum(-g, _PUSH)
+        y[: len(self._rows.bounds)] = -g[: len(self._rows.bounds)]
+        costates = np.zeros(problem.horizon * problem.n_states)
+        return Iterate(states[0], w, costates, y, np.zeros(len(y)), np.zeros(len(self._rows.fixed)))
+
+    def resume(self, guess: Solution, tau: float) -> Iterate:
+        """A warm start: slacks and multipliers of the guess, lifted until their products are at least tau."""
+        problem, at, multipliers = self.problem, self._rows, guess.multipliers
+        states, actions = problem.as_states(guess.states), problem.as_actions(guess.actions)
+        w = np.concatenate([states[1:].ravel(), actions.ravel()])
+        nu = np.concatenate([multipliers.state.ravel(), multipliers.action.ravel()])
+        z = np.concatenate([np.maximum(at.signs * nu[at.entries], 0.0), np.maximum(multipliers.path.ravel(), 0.0)])
+        y = np.maximum(-at.evaluate(w, self._path(states[0], w)), 0.0)
+        with np.errstate(divide="ignore"):
+            y = np.maximum(y, np.minimum(tau / z, np.sqrt(tau)))
+        return Iterate(states[0], w, multipliers.dynamics.ravel(), y, np.maximum(z, tau / y), nu[at.fixed])
+
+    def differentiate(self, at: Iterate, matrices: bool = True) -> Derivatives:
+        """Everything that a Newton step needs, or without matrices what residuals need."""
+        forces = at.z[len(self._rows.bounds) :]
+        outputs = (self._second if matrices else self._first)(
+            *self._point(at.s0, at.w), self.psi, self.context, at.costates, forces
+        )
+        (objective,), defects, path, cost, cost_last, r, r_last = outputs[:7]
+        return Derivatives(
+            iterate=at,
+            objective=float(objective),
+            cost_gradient=by_time(self.problem, cost, cost_last),
+            gradient=by_time(self.problem, r, r_last)[len(self.s0) :] + self._rows.push(at.z, at.nu, len(at.w)),
+            defects=defects,
+            gap=self.s0 - at.s0,
+            off=at.w[self._rows.fixed] - self._rows.values,
+            rows=self._rows.evaluate(at.w, path),
+            slopes=[r, r_last],
+            matrices=outputs[7:],
+            n_bounds=len(self._rows.bounds),
+        )
+
+    def step(self, at: Derivatives, tau: float, regularisation: float) -> Step:
+        """The Newton step at an iterate whose derivatives are finite."""
+        it, (r, r_last), (F, G, H, H_last) = at.iterate, at.slopes, at.matrices
+        barrier, rho = np.array([tau]), np.array([regularisation])
+        arguments = (r, r_last, at.defects, F, G, H, H_last, at.rows, at.off, at.gap, it.y, it.z, it.nu, barrier, rho)
+        ds, du, dcostates, dy, dz, dnu, pivots = self._step(*arguments)
+        share = max(BOUNDARY, 1 - tau)
+        return Step(
+            ds0=ds[: len(self.s0)],
+            dw=np.concatenate([ds[len(self.s0) :], du]),
+            dcostates=dcostates,
+            dy=dy,
+            dz=dz,
+            dnu=dnu,
+            primal_length=_longest(it.y, dy, share),
+            dual_length=_longest(it.z, dz, share),
+            regularisation=regularisation,
+            positive=bool(((pivots > 0) & (pivots < np.inf)).all() and np.isfinite(du).all()),
+        )
+
+    def measure(self, at: Iterate, tau: float) -> tuple[float, float]:
+        """theta and phi at a trial point, NaN included."""
+        (objective,), defects, path = self._values(*self._point(at.s0, at.w), self.psi, self.context)
+        g = self._rows.evaluate(at.w, path)
+        off, gap = at.w[self._rows.fixed] - self._rows.values, self.s0 - at.s0
+        theta = sum(np.abs(part).sum() for part in (defects, gap, off, g + np.maximum(at.y, -g)))
+        return float(theta), float(objective - tau * np.log(np.maximum(at.y, -g)).sum())
+
+    def centre(self, at: Iterate, tau: float) -> Iterate:
+        """The same point with slacks no smaller than what is left of the constraint, and multipliers near tau / y."""
+        g = self._rows.evaluate(at.w, self._path(at.s0, at.w))
+        y = np.maximum(at.y, -g)
+        return replace(at, y=y, z=np.clip(at.z, tau / y / CENTRE, tau / y * CENTRE))
+
+    def trajectory(self, at: Iterate) -> Trajectory:
+        """States and actions, time first."""
+        steps, n_s, n_u = self.problem.horizon, self.problem.n_states, self.problem.n_actions
+        states = np.concatenate([at.s0, at.w[: steps * n_s]])
+        return Trajectory(states.reshape(steps + 1, n_s), at.w[steps * n_s :].reshape(steps, n_u).copy())
+
+    def multipliers(self, at: Iterate) -> Multipliers:
+        """The multipliers as named arrays, both sides of a bound in one number."""
+        steps, n_s, n_u = self.problem.horizon, self.problem.n_states, self.problem.n_actions
+        net = self._rows.push(at.z, at.nu, len(at.w))
+        return Multipliers(
+            dynamics=at.costates.reshape(steps, n_s),
+            state=net[: steps * n_s].reshape(steps, n_s),
+            action=net[steps * n_s :].reshape(steps, n_u),
+            path=at.z[len(self._rows.bounds) :].reshape(steps, self.problem.n_path),
+        )
+
+    def _point(self, s0: Array, w: Array) -> tuple[Array, Array]:
+        split = self.problem.horizon * self.problem.n_states
+        return np.concatenate([s0, w[:split]]), w[split:]
+
+    def _path(self, s0: Array, w: Array) -> Array:
+        """Path constraints (T n_h,)."""
+        if not self._rows.n_path:
+            return np.zeros(0)
+        return self._values(*self._point(s0, w), self.psi, self.context)[2]
+
+    def _inside(self, w: Array) -> Array:
+        """w moved inside its bounds (Waechter and Biegler, section 3.6), and onto them where they coincide."""
+        at, n_low, w = self._rows, len(self._rows.lower), w.copy()
+        low, high = np.full(len(w), -np.inf), np.full(len(w), np.inf)
+        low[at.lower], high[at.upper] = at.bounds[:n_low], at.bounds[n_low:]
+        margin = _PUSH * np.minimum(np.maximum(1.0, np.abs(at.bounds)), (high - low)[at.entries])
+        w[at.lower] = np.maximum(w[at.lower], low[at.lower] + margin[:n_low])
+        w[at.upper] = np.minimum(w[at.upper], high[at.upper] - margin[n_low:])
+        w[at.fixed] = at.values
+        return w
+
+
+def _longest(value: Array, change: Array, share: float) -> float:
+    """The longest step in (0, 1] that keeps value + length * change at least (1 - share) value; value > 0."""
+    return min(1.0, share / max(float(np.max(-change / value, initial=0.0)), share))

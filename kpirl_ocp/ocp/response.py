@@ -1,0 +1,80 @@
+"""How a solution responds to what it was solved for: the implicit function theorem on the KKT conditions.
+
+With v = (w, lambda, mu), p = (psi, s_0, c) and F(v; p) = (grad_w Lagrangian, defects, active constraints) = 0,
+
+    dv/dp = -(dF/dv)^{-1} dF/dp.
+
+`pull` is the vector-Jacobian product for a cotangent of w, `push` the Jacobian-vector product for a tangent of p.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kpirl_ocp.ocp.calls import call
+from kpirl_ocp.ocp.factorisation import Factorisation
+from kpirl_ocp.ocp.influence import pull, push
+from kpirl_ocp.ocp.sensitivity import Instance, KKTSystem, linearise, primal_dual, scatter
+from kpirl_ocp.types import Array, Solution, Trajectory
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """Gradients of a function of the planned trajectory.
+
+    psi: (n_psi,). s0: (n_s,). context: (n_c,).
+    adjoint: (n_w,) the solution of the KKT system they come from; residual: of that system, relative.
+    """
+
+    psi: Array
+    s0: Array
+    context: Array
+    adjoint: Array
+    residual: float
+
+
+@dataclass(frozen=True)
+class Response:
+    """The derivative of a solution, factorised once for any number of products."""
+
+    system: KKTSystem
+    factors: Factorisation
+
+    @classmethod
+    def at(cls, instance: Instance, solution: Solution) -> Response:
+        """At a solution; whether it exists is for a certificate to say (`kpirl_ocp.irl.implicit`)."""
+        system = linearise(instance, *primal_dual(instance, solution))
+        return cls(system, Factorisation(system))
+
+    def pull(self, slope: Array, slope_s0: Array | None = None) -> Gradients:
+        """Gradients of a function with gradient `slope` (n_w,) by w, and `slope_s0` (n_s,) by s_0 directly."""
+        system, instance = self.system, self.system.instance
+        n_s, steps, n_h = len(system.H_last), len(system.H), instance.problem.n_path
+        nothing = np.zeros(len(system.defects)), np.zeros(int(system.active.sum()))
+        w, costates, forces, residual = self.factors.solve(slope, *nothing)
+        forces = instance.path_forces(scatter(system.active, forces) + system.stiffness * (system.rows @ w))
+        x, last = system.by_stage(w)
+        point = (*instance.at(system.point.w), system.point.costates, instance.path_forces(system.point.forces))
+        by_psi, by_context = call(instance.problem, pull)(*point, x.ravel(), last, costates, forces)
+        by_start = system.H[0] @ x[0] + system.F[0] @ costates[:n_s] + system.G[0] @ forces.reshape(steps, n_h)[0]
+        direct = np.zeros(n_s) if slope_s0 is None else slope_s0
+        return Gradients(-by_psi, direct - by_start[:n_s], -by_context, w, residual)
+
+    def push(self, dpsi: Array, ds0: Array, dcontext: Array) -> Trajectory:
+        """Change of states (T+1, n_s) and actions (T, n_u) when psi, s_0 and the context move."""
+        system, instance = self.system, self.system.instance
+        problem, n_s = instance.problem, len(system.H_last)
+        point = (*instance.at(system.point.w), system.point.costates, instance.path_forces(system.point.forces))
+        dr, dr_last, ddefects, dpath = call(problem, push)(*point, dpsi, dcontext)
+        x = np.zeros((len(system.H), system.H.shape[1]))
+        x[0, :n_s] = ds0
+        dr = dr.reshape(x.shape) + (system.H @ x[:, :, None])[:, :, 0]
+        ddefects = ddefects + (x[:, None, :] @ system.F).ravel()
+        dpath = dpath + (x[:, None, :] @ system.G).ravel()
+        values = np.concatenate([np.zeros(len(system.active) - len(dpath)), dpath])  # change of all inequalities
+        right = -system.flat(dr, dr_last) - system.transposed_rows @ (system.stiffness * values)
+        w = self.factors.solve(right, -ddefects, -values[system.active])[0]
+        states = np.concatenate([ds0, w[: len(ddefects)]]).reshape(problem.horizon + 1, n_s)
+        return Trajectory(states, w[len(ddefects) :].reshape(problem.horizon, -1))

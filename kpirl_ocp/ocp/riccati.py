@@ -1,0 +1,198 @@
+"""A primal-dual interior-point method whose Newton steps are Riccati recursions: O(T) time and memory.
+
+Multiple shooting with exact Hessians. The pivots of the recursion show whether the Hessian is positive along the
+dynamics; where it is not, a multiple of the identity is added (Waechter and Biegler, 2006, section 3.1). A filter
+globalises. The recursion is that of Rao, Wright and Rawlings (1998) and of HPIPM (Frison and Diehl, 2020).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.filter import Filter
+from kpirl_ocp.ocp.kkt import largest
+from kpirl_ocp.ocp.newton import Derivatives, Iterate, Newton, Step
+from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.solver import Guess
+from kpirl_ocp.types import KKTResiduals, Solution, Status
+
+_START = 0.3  # barrier parameter of a cold start, relative to the gradient of the objective there
+_WARM = 1e-6  # largest one of a warm start
+_SOLVED = 30.0  # a barrier problem counts as solved when its residual is below this times tau, relative to the cost
+_LARGE = 100.0  # multipliers above this count as large, as in Ipopt
+_SHORTEST = 1e-10  # step length below which a line search gives up
+_TINY = 1e-14  # relative step below which rounding decides, so that the step is taken as it is
+_FAR = 1e12  # |w| beyond which an iterate has diverged
+_ATTEMPTS = 6  # line searches at one iterate, each with a stronger regularisation
+
+
+@dataclass(frozen=True)
+class Riccati:
+    """Structure-exploiting interior-point solver; bounds and path constraints; warm start from a `Solution`.
+
+    tolerance: on `KKTResiduals.worst`.
+    max_iterations: before it gives up.
+    barrier: complementarity tau at which to stop. Zero solves the problem itself; tau > 0 solves
+        min J - tau sum log(slack), whose solution is a smooth function of psi.
+    steps: take exactly this many Newton steps without line search, from a warm start: the real-time iteration
+        (Diehl et al., 2005). None iterates until convergence.
+    """
+
+    tolerance: float = 1e-10
+    max_iterations: int = 300
+    barrier: float = 0.0
+    steps: int | None = None
+
+    def __post_init__(self) -> None:
+        if not self.tolerance > 0 or not self.barrier >= 0 or self.max_iterations < 1:
+            raise ProblemError("Riccati needs tolerance > 0, barrier >= 0 and max_iterations >= 1.")
+        if self.steps is not None and self.steps < 1:
+            raise ProblemError(f"steps must be at least 1, or None to iterate until convergence; got {self.steps!r}.")
+
+    def with_barrier(self, barrier: float) -> Riccati:
+        """The same solver for the smoothed problem."""
+        return replace(self, barrier=barrier)
+
+    def solve(
+        self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
+    ) -> Solution:
+        """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
+        newton = Newton(problem, *problem.inputs(s0, psi, context))
+        if isinstance(guess, Solution):
+            tau = self.barrier or self._warm_barrier(newton, guess)
+            iterate = newton.resume(guess, tau)
+        else:
+            iterate = newton.start(guess)
+            tau = self.barrier or _START * newton.differentiate(iterate, matrices=False).scale
+            iterate = replace(iterate, z=tau / iterate.y)
+        run = _Run(self, newton, iterate, tau)
+        status = run.converge() if self.steps is None else run.advance(self.steps)
+        return run.solution(status)
+
+    def _warm_barrier(self, newton: Newton, guess: Solution) -> float:
+        """As small as the guess is good, so that a solution stays one; at most `_WARM`, so that a guess counts."""
+        final = self.tolerance / 10
+        error = newton.differentiate(newton.resume(guess, final), matrices=False).residuals(0.0).worst
+        return float(np.clip(error, final, _WARM)) if np.isfinite(error) else _WARM
+
+
+class _Run:
+    """One solve: where it is, and how it got there."""
+
+    def __init__(self, solver: Riccati, newton: Newton, iterate: Iterate, tau: float) -> None:
+        self.solver, self.newton, self.iterate = solver, newton, iterate
+        self.tau = tau
+        self.tolerance = solver.tolerance
+        if solver.barrier > 0:  # the tolerance bounds multiplier * slack - tau: it has to be small beside tau
+            self.tolerance = min(solver.tolerance, max(1e-6 * solver.barrier, 1e-13))
+        self.regularisation = 0.0  # the last one that was needed
+        self.iterations = 0
+        self.at: Derivatives = newton.differentiate(iterate)
+        self.filter = Filter.starting_at(self.at.violation)
+
+    def converge(self) -> Status:
+        """Newton steps with line search until the conditions hold, or nothing helps."""
+        while True:
+            if not self.at.finite:
+                return Status.NOT_FINITE
+            self._tighten()
+            if self._solved:
+                return Status.CONVERGED
+            if self.iterations == self.solver.max_iterations:
+                return Status.ITERATION_LIMIT
+            if largest(self.iterate.w) > _FAR:
+                return Status.DIVERGED
+            if not self._search():
+                return self._why_stuck()
+            self.iterations += 1
+
+    def advance(self, steps: int) -> Status:
+        """Full Newton steps, cut only where a slack or multiplier would become negative."""
+        for left in reversed(range(steps)):
+            step = self._step(0.0) if self.at.finite else None
+            if step is None:
+                return self._why_stuck() if self.at.finite else Status.NOT_FINITE
+            self._move(step, step.primal_length, last=not left)
+            self.iterations += 1
+        if not self.at.finite:
+            return Status.NOT_FINITE
+        return Status.CONVERGED if self._solved else Status.STEPS_TAKEN
+
+    def _why_stuck(self) -> Status:
+        if not all(np.isfinite(matrix).all() for matrix in self.at.matrices):
+            return Status.NOT_FINITE
+        violation = self.at.residuals(self.solver.barrier).feasibility
+        return Status.INFEASIBLE if violation > self.tolerance**0.5 else Status.STALLED
+
+    @property
+    def _solved(self) -> bool:
+        """Do the conditions hold, and complementarity as if multipliers were at most `_LARGE`?
+
+        Relative to larger multipliers alone, the weakest of the active constraints would stay too far from its bound.
+        """
+        found = self.at.residuals(self.solver.barrier)
+        return found.worst <= self.tolerance and found.complementarity <= 10 * self._final_tau
+
+    @property
+    def _final_tau(self) -> float:
+        """The barrier to stop at: a tenth of the tolerance, in units of the multipliers where these are large."""
+        return self.solver.barrier or self.solver.tolerance / 10 * max(1.0, self.at.scale / _LARGE)
+
+    def _tighten(self) -> None:
+        """Lower tau when its own problem is solved (Waechter and Biegler, eq. 7)."""
+        before, final = self.tau, self._final_tau
+        while self.tau > final and self.at.residuals(self.tau).worst <= _SOLVED * self.tau / self.at.scale:
+            self.tau = max(final, min(0.2 * self.tau, self.tau**1.5))
+        if self.tau != before:
+            self.filter = Filter.starting_at(self.at.violation)
+
+    def _step(self, regularisation: float) -> Step | None:
+        """The Newton step, with as much regularisation as the pivots ask for; None if none is enough."""
+        rho = regularisation
+        while rho < 1e20:
+            step = self.newton.step(self.at, self.tau, rho)
+            if step.positive:
+                self.regularisation = rho or self.regularisation
+                return step
+            first = max(self.regularisation / 3, 1e-12) if self.regularisation else 1e-4
+            rho = first if rho == 0 else rho * (8.0 if self.regularisation else 100.0)
+        return None
+
+    def _search(self) -> bool:
+        """Move along a Newton step as the filter allows; shorten the step by regularisation if it never does."""
+        rho = 0.0
+        for _ in range(_ATTEMPTS):
+            step = self._step(rho)
+            if step is None:
+                return False
+            length = step.primal_length
+            tiny = largest(step.dw) <= _TINY * (1 + largest(self.iterate.w))
+            while length >= _SHORTEST:
+                trial = self.newton.measure(self.iterate.moved(step, length), self.tau)
+                if tiny or self.filter.accepts(*self.at.merit(self.tau), step.slope(self.at, self.tau), length, trial):
+                    self._move(step, length)
+                    return True
+                length /= 2
+            rho = max(100 * step.regularisation, 1e-4)
+        return False
+
+    def _move(self, step: Step, length: float, last: bool = False) -> None:
+        self.iterate = self.newton.centre(self.iterate.moved(step, length, step.dual_length), self.tau)
+        self.at = self.newton.differentiate(self.iterate, matrices=not last)
+
+    def solution(self, status: Status) -> Solution:
+        """The record of this run."""
+        residuals: KKTResiduals = self.at.residuals(self.solver.barrier)
+        return Solution(
+            trajectory=self.newton.trajectory(self.iterate),
+            multipliers=self.newton.multipliers(self.iterate),
+            objective=self.at.objective,
+            residuals=residuals,
+            status=status,
+            iterations=self.iterations,
+            barrier=self.solver.barrier,
+        )

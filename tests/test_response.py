@@ -1,0 +1,117 @@
+"""How solutions respond to psi, s_0 and the context: against one dense KKT matrix, and against each other."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from dense_kkt import derivative
+from problems import TABLE, network, swing_up
+
+from kpirl_ocp import Ipopt, Riccati
+from kpirl_ocp.ocp.kkt import pack
+from kpirl_ocp.ocp.response import Response
+from kpirl_ocp.ocp.sensitivity import Instance
+
+CASES = TABLE | {
+    "swing-up, 45 steps": lambda: swing_up(45),
+    "tanh network, 100 steps": lambda: long_network(),
+}
+SMOOTHED = {"integrator": 1e-3, "tanh network": 1e-4}
+
+
+@lru_cache
+def long_network():
+    """A network problem of 100 steps; the random network is too lively for that without smaller steps."""
+    case = network("tanh", 100)
+    return replace(case, psi=case.psi * np.array([0.3, 0.3, 0.3, 0.3, 1.0]))
+
+
+@lru_cache
+def solved(name, barrier=0.0):
+    """The arguments of a solve, the solution, its response and the dense derivative."""
+    case = CASES[name]()
+    given = (case.problem, case.demonstration.s0, case.psi, case.demonstration.context)
+    solver = Riccati(tolerance=1e-11)
+    solution = (solver.with_barrier(barrier) if barrier else solver).solve(*given).raise_if_failed()
+    response = Response.at(Instance(*given, barrier), solution)
+    return given, solution, response, derivative(*given, solution)
+
+
+ROWS = [(name, 0.0) for name in CASES] + list(SMOOTHED.items())
+
+
+@pytest.mark.parametrize(("name", "barrier"), ROWS)
+def test_gradients_equal_those_of_the_dense_kkt_matrix(name, barrier):
+    (problem, *_), solution, response, dense = solved(name, barrier)
+    slope = np.random.default_rng(0).normal(size=len(pack(solution.trajectory)))
+    found = response.pull(slope)
+    expected = slope @ dense
+    gradients = np.concatenate([found.psi, found.s0, found.context])
+    assert len(found.psi) == problem.n_parameters
+    np.testing.assert_allclose(gradients, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+    assert found.residual < 1e-10
+
+
+@pytest.mark.parametrize(("name", "barrier"), ROWS)
+def test_changes_of_the_trajectory_equal_those_of_the_dense_kkt_matrix(name, barrier):
+    (problem, s0, psi, context), _, response, dense = solved(name, barrier)
+    parts = [np.random.default_rng(1).normal(size=len(x)) for x in (psi, s0, context)]
+    found = response.push(*parts)
+    expected = dense @ np.concatenate(parts)
+    np.testing.assert_allclose(pack(found), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+    np.testing.assert_array_equal(found.states[0], parts[1])
+    assert found.actions.shape == (problem.horizon, problem.n_actions)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_both_products_are_adjoint(name):
+    (_, s0, psi, context), solution, response, _ = solved(name)
+    rng = np.random.default_rng(2)
+    slope = rng.normal(size=len(pack(solution.trajectory)))
+    parts = [rng.normal(size=len(x)) for x in (psi, s0, context)]
+    pulled = response.pull(slope)
+    one = slope @ pack(response.push(*parts))
+    other = np.concatenate([pulled.psi, pulled.s0, pulled.context]) @ np.concatenate(parts)
+    np.testing.assert_allclose(one, other, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["integrator", "iiwa at a limit", "tanh network"])
+def test_response_to_the_initial_state_equals_differences_of_solutions(name):
+    (problem, s0, psi, context), solution, response, _ = solved(name)
+    direction = np.random.default_rng(3).normal(size=len(s0))
+    found = response.push(np.zeros(len(psi)), direction, np.zeros(len(context)))
+    errors = []
+    for h in (1e-3, 1e-4, 1e-5):
+        ends = [
+            Ipopt(tolerance=1e-12).solve(problem, s0 + sign * h * direction, psi, context, guess=solution)
+            for sign in (1, -1)
+        ]
+        slope = (pack(ends[0].trajectory) - pack(ends[1].trajectory)) / (2 * h)
+        errors.append(np.abs(slope - pack(found)).max() / np.abs(slope).max())
+    assert min(errors) < 1e-6
+
+
+def test_gradient_by_the_initial_state_includes_what_the_function_says_of_it_directly():
+    (_, s0, _, _), solution, response, _ = solved("integrator")
+    slope, direct = np.ones(len(pack(solution.trajectory))), np.arange(1.0, len(s0) + 1)
+    np.testing.assert_allclose(response.pull(slope, direct).s0, response.pull(slope).s0 + direct, rtol=1e-15)
+
+
+def test_curvature_and_qualification_equal_their_dense_definitions():
+    _, solution, response, _ = solved("tanh network")
+    system, factors = response.system, response.factors
+    n, size = len(system.defects), len(pack(solution.trajectory))
+    columns = np.eye(size)
+    H = np.array([system.times_hessian(column) for column in columns])
+    A = np.array([system.times_jacobian(column) for column in columns]).T
+    Z = np.vstack([-np.linalg.solve(A[:, :n], A[:, n:]), np.eye(size - n)])
+    rows = system.constraints.toarray() @ Z
+    rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+    _, singular, right = np.linalg.svd(rows)
+    free = right[len(singular) :].T
+    condensed = Z.T @ H @ Z
+    values = np.linalg.eigvalsh(free.T @ condensed @ free)
+    assert len(rows) > 3
+    np.testing.assert_allclose(factors.qualification, singular.min(), rtol=1e-2)
+    np.testing.assert_allclose(factors.curvature, values[0] / np.abs(np.linalg.eigvalsh(condensed)).max(), rtol=2e-2)

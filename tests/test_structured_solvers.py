@@ -1,0 +1,212 @@
+"""Solvers that know the stages against Ipopt, on a table of problems; real-time iterations; what they do when stuck."""
+
+from dataclasses import replace
+from functools import lru_cache
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+from problems import TABLE, integrator, network, swing_up
+
+from kpirl_ocp import OCP, Fatrop, Ipopt, Riccati, Status, Trajectory
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.kkt import audit
+from kpirl_ocp.ocp.newton import Newton
+from kpirl_ocp.ocp.real_time import real_time_step
+
+SOLVERS = {"riccati": (Riccati(), 1e-8, 1e-6), "fatrop": (Fatrop(), 1e-6, 1e-4)}  # solver, objective, multipliers
+
+
+def given(name):
+    case = TABLE[name]()
+    return case.problem, case.demonstration.s0, case.psi, case.demonstration.context
+
+
+@lru_cache
+def reference(name):
+    return Ipopt().solve(*given(name)).raise_if_failed()
+
+
+@lru_cache
+def solution(name):
+    return Riccati().solve(*given(name)).raise_if_failed()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("name", TABLE)
+def test_solvers_agree_on_objective_trajectory_and_multipliers(name, solver):
+    method, on_objective, on_multipliers = SOLVERS[solver]
+    found, expected = method.solve(*given(name)), reference(name)
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.objective, expected.objective, rtol=on_objective)
+    np.testing.assert_allclose(found.actions, expected.actions, rtol=0, atol=on_multipliers)
+    for kind, multipliers in vars(expected.multipliers).items():
+        scale = max(1.0, np.abs(multipliers).max(initial=0.0))
+        np.testing.assert_allclose(
+            getattr(found.multipliers, kind), multipliers, rtol=0, atol=on_multipliers * scale, err_msg=kind
+        )
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_residuals_that_riccati_reports_are_those_of_the_audit(name):
+    problem, _, psi, context = given(name)
+    found = solution(name)
+    audited = audit(problem, psi, context, found.trajectory, found.multipliers)
+    assert max(found.residuals.worst, audited.worst) <= 1e-10
+    assert audited.scale == pytest.approx(found.residuals.scale, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_solution_is_its_own_warm_start(name):
+    again = Riccati().solve(*given(name), guess=solution(name))
+    assert again.status is Status.CONVERGED
+    assert again.iterations <= 5
+    np.testing.assert_allclose(again.objective, solution(name).objective, rtol=1e-8)
+
+
+def test_trajectory_as_a_guess_needs_no_dynamics_in_it():
+    problem, s0, psi, context = given("swing-up")
+    states = np.linspace(s0, [np.pi, 0.0], problem.horizon + 1)
+    guess = Trajectory(states, np.zeros((problem.horizon, 1)))
+    found = Riccati().solve(problem, s0, psi, context, guess=guess)
+    assert found.status is Status.CONVERGED
+    assert found.states[-1, 0] == pytest.approx(np.pi, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["lqr", "pendulum"])
+def test_real_time_iterations_are_newton_steps_that_converge_quadratically(name):
+    problem, s0, psi, context = given(name)
+    guess, residuals = solution(name), []
+    for _ in range(3):
+        guess = Riccati(steps=1).solve(problem, 1.02 * np.asarray(s0), psi, context, guess=guess)
+        assert guess.iterations == 1
+        np.testing.assert_allclose(guess.states[0], 1.02 * np.asarray(s0), rtol=1e-15)
+        residuals.append(guess.residuals.worst)
+    assert residuals[0] < 1e-2
+    assert all(after <= max(10 * before**2, 1e-14) for before, after in pairwise(residuals))
+
+
+def test_real_time_iterations_track_a_moving_start_close_to_the_solutions():
+    problem, s0, psi, context = given("tanh network")
+    tau, start = 1e-3, np.array(s0)
+    tracker = Riccati(steps=1, barrier=tau)
+    follow = Riccati(barrier=tau).solve(problem, start, psi, context)
+    for _ in range(20):
+        start = start + np.r_[np.full(4, 0.005), np.full(3, 0.002), np.zeros(3)]
+        follow = tracker.solve(problem, start, psi, context, guess=follow)
+        assert follow.status.ok
+    exact = Riccati(barrier=tau).solve(problem, start, psi, context)
+    assert np.abs(follow.actions - exact.actions).max() < 1e-3
+    assert follow.objective == pytest.approx(exact.objective, rel=1e-4)
+
+
+def test_one_call_of_several_steps_equals_several_calls_of_one_without_inequalities():
+    problem, s0, psi, context = given("pendulum")
+    start = Trajectory(np.tile(s0, (problem.horizon + 1, 1)), np.zeros((problem.horizon, 1)))
+    together = Riccati(steps=3).solve(problem, s0, psi, context, guess=start)
+    apart = start
+    for _ in range(3):
+        apart = Riccati(steps=1).solve(problem, s0, psi, context, guess=apart)
+    np.testing.assert_allclose(together.actions, apart.actions, rtol=0, atol=1e-13)
+    assert together.iterations == 3
+
+
+def test_riccati_ends_on_relu_with_a_truthful_status():
+    case = network("relu")
+    found = Riccati(max_iterations=60).solve(case.problem, case.demonstration.s0, case.psi, case.demonstration.context)
+    assert found.status in (Status.CONVERGED, Status.ITERATION_LIMIT, Status.STALLED)
+    assert (found.status is Status.CONVERGED) == (found.residuals.worst <= 1e-10)
+    assert np.isfinite(found.objective)
+
+
+UNITS = 10.0 ** np.arange(-6, 7, 3)
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_unit_of_the_cost_does_not_change_the_actions(unit):
+    case = integrator()
+    problem = case.problem
+    s, u, psi, c, d = (ca.SX.sym(str(i), problem.stage_cost.size1_in(i)) for i in range(5))
+    scaled = replace(
+        problem,
+        stage_cost=ca.Function("l", [s, u, psi, c, d], [unit * problem.stage_cost(s, u, psi, c, d)]),
+        terminal_cost=ca.Function("l_T", [s, psi, c, d], [unit * problem.terminal_cost(s, psi, c, d)]),
+    )
+    solver = Riccati(tolerance=min(1e-10, 1e-10 * unit))
+    found = solver.solve(scaled, case.demonstration.s0, case.psi, case.demonstration.context)
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.actions, solution("integrator").actions, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("solver", [Riccati(), Fatrop()], ids=str)
+def test_infeasible_problem_is_not_called_converged(solver):
+    case = integrator()
+    problem = replace(case.problem, state_bounds=([2.0, -0.6], [3.0, 0.6]))  # the mass cannot be there in one step
+    found = solver.solve(problem, case.demonstration.s0, case.psi, case.demonstration.context)
+    assert found.status in (Status.INFEASIBLE, Status.FAILED)
+    assert found.residuals.feasibility > 0.1
+
+
+def terminal_equality(horizon):
+    """Bring a double integrator to rest at 1 exactly, with the least effort."""
+    s, u = ca.SX.sym("s", 2), ca.SX.sym("u")
+    late = ca.SX.sym("late")
+    return OCP.from_expressions(
+        state=s,
+        action=u,
+        stage=late,
+        dynamics=ca.vertcat(s[0] + 0.1 * s[1], s[1] + 0.1 * u),
+        stage_cost=u**2,
+        terminal_cost=0 * s[0],
+        path_constraint=ca.vertcat(late * (s[0] - 1), late * (1 - s[0])) - 1e-9,
+        schedule=np.eye(horizon + 1)[:, horizon - 1 : horizon],
+        horizon=horizon,
+    )
+
+
+def test_two_sided_path_constraint_acts_as_an_equality():
+    problem = terminal_equality(20)
+    found, expected = (solver.solve(problem, [0.0, 0.0]) for solver in (Riccati(), Ipopt()))
+    assert found.status is Status.CONVERGED
+    assert found.states[19, 0] == pytest.approx(1.0, abs=1e-8)
+    np.testing.assert_allclose(found.objective, expected.objective, rtol=1e-6)
+
+
+def test_state_that_is_fixed_all_the_time_is_kept_exactly():
+    case = integrator()
+    problem = replace(case.problem, path_constraint=None, state_bounds=([-np.inf, 0.0], [np.inf, 0.0]))
+    found = Riccati().solve(problem, case.demonstration.s0, case.psi, case.demonstration.context)
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.states[:, 1], 0, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.actions, 0, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("arguments", [{"tolerance": 0.0}, {"barrier": -1.0}, {"max_iterations": 0}, {"steps": 0}])
+def test_impossible_settings_are_refused(arguments):
+    with pytest.raises(ProblemError):
+        Riccati(**arguments)
+
+
+def test_swing_up_is_found_from_rest_by_a_step_that_needs_regularisation():
+    case = swing_up()
+    found = Riccati().solve(case.problem, case.demonstration.s0, case.psi, case.demonstration.context)
+    assert found.status is Status.CONVERGED
+    assert found.states[-1, 0] == pytest.approx(np.pi, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["lqr", "integrator", "tanh network"])
+def test_real_time_step_as_one_function_does_what_the_solver_does(name):
+    problem, s0, psi, context = given(name)
+    tau, start = 1e-4, 1.01 * np.asarray(s0)
+    guess = Riccati(barrier=tau).solve(problem, s0, psi, context)
+    expected = Riccati(steps=1, barrier=tau).solve(problem, start, psi, context, guess=guess)
+    it = Newton(problem, start, np.asarray(psi), np.asarray(context)).resume(guess, tau)
+    arguments = [guess.states.T, guess.actions.T, guess.multipliers.dynamics.T, it.y, it.z, it.nu]
+    S, U, costates, y, z, _, pivot = real_time_step(problem)(*arguments, start, psi, context, tau, 0.0)
+    np.testing.assert_allclose(np.array(S).T, expected.states, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.array(U).T, expected.actions, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.array(costates).T, expected.multipliers.dynamics, rtol=0, atol=1e-10)
+    assert float(pivot) > 0
+    assert (np.array(y) > 0).all()
+    assert (np.array(z) > 0).all()
