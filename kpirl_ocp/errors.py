@@ -17,6 +17,10 @@ class EpisodeError(KpirlError, ValueError):
     """An episode on disk is missing, malformed or not finite; the message names file and key."""
 
 
+class ModelError(KpirlError, ValueError):
+    """A network on disk is missing, malformed or of an unsupported kind; the message names file and key."""
+
+
 class SolveError(KpirlError, RuntimeError):
     """A solve failed and the caller asked for an exception (`Solution.raise_if_failed`)."""
 

@@ -1,8 +1,9 @@
 """Keypoint problems: the general OCP with states s = (z, theta, theta_dot) and joint displacements as actions.
 
-Ground-truth dynamics (the paper's simulation study and appendix A.1, with kinematics in the place of the network):
+    theta_{t+1} = theta_t + u_t,    theta_dot_{t+1} = theta_dot_t
 
-    theta_{t+1} = theta_t + u_t,    theta_dot_{t+1} = theta_dot_t,    z_{t+1} = keypoints(theta_{t+1})
+`network_ocp` has the learned keypoints of appendix A.1, z_{t+1} = z_t + network(s_t, u_t); `keypoint_ocp` has the
+ground truth of the simulation study, z_{t+1} = keypoints(theta_{t+1}).
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.costs import KeypointCost
 from kpirl_ocp.ocp.kinematics import Robot
-from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.problem import OCP, UNBOUNDED, Bounds, broadcast_bounds
 from kpirl_ocp.types import Array
 
 
@@ -58,6 +60,42 @@ def keypoint_ocp(
         action_bounds=(-max_displacement, max_displacement),
         state_bounds=(np.hstack([-free[0], limits[0], -free[1]]), np.hstack([free[0], limits[1], free[1]])),
         schedule=schedule,
+    )
+
+
+def network_ocp(
+    dynamics: NetworkDynamics,
+    cost: KeypointCost,
+    horizon: int,
+    *,
+    joint_limits: Bounds = UNBOUNDED,
+    max_displacement: float = np.inf,
+) -> OCP:
+    """Plan keypoints in the image to the goal z_goal, the context (n_z,), with a learned model.
+
+    joint_limits: (lower, upper) bounds of theta, each a number or (n_joints,) [rad].
+    max_displacement: largest |u| per step and joint [rad].
+    """
+    if not max_displacement > 0:
+        raise ProblemError(f"max_displacement must be positive, got {max_displacement!r}.")
+    n_z, n_q, n_psi = dynamics.n_z, dynamics.n_joints, cost.n_parameters(horizon, dynamics.n_z)
+    schedule = cost.schedule(horizon)
+    state, action = ca.SX.sym("s", dynamics.n_states), ca.SX.sym("u", n_q)
+    psi, goal, stage = ca.SX.sym("psi", n_psi), ca.SX.sym("goal", n_z), ca.SX.sym("d", schedule.shape[1])
+    running = cost.stage_cost(state[:n_z], action, psi, goal, stage)
+    final = cost.stage_cost(state[:n_z], ca.SX.zeros(n_q), psi, goal, stage)
+    lower, upper = broadcast_bounds("joint_limits", joint_limits, n_q)
+    free = np.full(n_z, np.inf), np.full(n_q, np.inf)
+    return OCP(
+        dynamics=dynamics.function(n_psi),
+        stage_cost=ca.Function("stage_cost", [state, action, psi, goal, stage], [running]),
+        terminal_cost=ca.Function("terminal_cost", [state, psi, goal, stage], [final]),
+        observation=ca.Function("observation", [state], [state[:n_z]]),
+        horizon=horizon,
+        action_bounds=(-max_displacement, max_displacement),
+        state_bounds=(np.hstack([-free[0], lower, -free[1]]), np.hstack([free[0], upper, free[1]])),
+        schedule=schedule,
+        derivatives=dynamics.derivatives(n_psi),
     )
 
 

@@ -65,8 +65,8 @@ class OCP:
             )
         object.__setattr__(self, "schedule", schedule)
         self._check_signatures(schedule.shape[1])
-        object.__setattr__(self, "action_bounds", _broadcast_bounds("action", self.action_bounds, self.n_actions))
-        object.__setattr__(self, "state_bounds", _broadcast_bounds("state", self.state_bounds, self.n_states))
+        object.__setattr__(self, "action_bounds", broadcast_bounds("action_bounds", self.action_bounds, self.n_actions))
+        object.__setattr__(self, "state_bounds", broadcast_bounds("state_bounds", self.state_bounds, self.n_states))
 
     @classmethod
     def from_expressions(
@@ -269,13 +269,14 @@ def _matrix(name: str, axes: str, value: ArrayLike, shape: tuple[int, int]) -> A
     return array
 
 
-def _broadcast_bounds(name: str, bounds: Bounds, length: int) -> tuple[Array, Array]:
+def broadcast_bounds(name: str, bounds: Bounds, length: int) -> tuple[Array, Array]:
+    """Lower and upper (length,) of bounds that may be numbers. Raises ProblemError when they make no interval."""
     try:
         lower, upper = (np.array(np.broadcast_to(np.asarray(bound, float), (length,))) for bound in bounds)
     except (TypeError, ValueError) as error:
-        raise ProblemError(f"{name}_bounds must be (lower, upper), each a number or ({length},).") from error
+        raise ProblemError(f"{name} must be (lower, upper), each a number or ({length},).") from error
     if not ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all():
         raise ProblemError(
-            f"{name}_bounds must be numbers: no lower bound above its upper bound or at inf, no upper bound at -inf."
+            f"{name} must be numbers: no lower bound above its upper bound or at inf, no upper bound at -inf."
         )
     return lower, upper
