@@ -57,7 +57,7 @@ class PlanningCost:
         """What is left of the cost after `steps` of the plan; effort alone keeps the steps beyond the end at zero."""
         if not 0 <= steps <= self.horizon:
             raise ProblemError(f"steps must be within the plan of {self.horizon}, got {steps}.")
-        past_the_end = np.full(steps, self.efforts[-1])
+        past_the_end = np.full(steps, self.efforts.max())
         return replace(
             self,
             weights=np.vstack([self.weights[steps:], np.zeros_like(self.weights[:steps])]),

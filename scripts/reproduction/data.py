@@ -1,0 +1,98 @@
+"""What the experiments learn from: demonstrations, collected when they are missing, through the trained detector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import joblib
+import numpy as np
+
+from kpirl_ocp.assets import shipped_model
+from kpirl_ocp.episodes import ArmTrack, KeypointTrack
+from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.network_files import load_dynamics
+from kpirl_ocp.perception.clips import detect_tracks, recordings
+from kpirl_ocp.perception.collect import collect
+from kpirl_ocp.perception.detector import KeypointDetector
+from kpirl_ocp.perception.motions import HandPlacing, Reaching
+from kpirl_ocp.types import Array
+
+# Seeds of the collections; no model was trained or scored on them.
+_REACHING, _REACHING_VALIDATION, _PLACING, _PLACING_VALIDATION = 100, 101, 102, 103
+NAMES = ("detector", "reaching", "placing")
+
+
+@dataclass(frozen=True)
+class Models:
+    """Where the three trained models are (cards), and a hash of what is in them."""
+
+    detector: Path
+    reaching: Path
+    placing: Path
+    digest: str
+
+    @classmethod
+    def find(cls, directory: str | None) -> Models:
+        """The models in a directory, or the ones that come with the package."""
+        cards = [shipped_model(name) if directory is None else Path(directory) / f"{name}.json" for name in NAMES]
+        files = [path.read_bytes() for card in cards for path in (card, card.with_suffix(".safetensors"))]
+        return cls(*(card.resolve() for card in cards), digest=str(joblib.hash(files)))
+
+    def load_detector(self) -> KeypointDetector:
+        """The detector, on one thread, because jobs run side by side."""
+        import torch
+
+        torch.set_num_threads(1)
+        return KeypointDetector.load(self.detector)
+
+    def load_dynamics(self, task: str) -> NetworkDynamics:
+        """The dynamics of a task, "reaching" or "placing"."""
+        return load_dynamics({"reaching": self.reaching, "placing": self.placing}[task])
+
+
+@dataclass(frozen=True, eq=False)
+class HandClip:
+    """A person's demonstration at 5 Hz.
+
+    track: detected keypoints. places: (T+1, 2) truth about the bottle [pixels]. images: (3, H, W, 3), first, middle, last.
+    """
+
+    track: KeypointTrack
+    places: Array
+    images: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Demonstrations of both tasks, to learn from and to validate with."""
+
+    reaching: list[ArmTrack]
+    reaching_validation: list[ArmTrack]
+    placing: list[HandClip]
+    placing_validation: list[HandClip]
+
+
+def prepare(directory: Path, models: Models, reaching: int, validation: int, clips: int, workers: int) -> Data:
+    """Collect what is missing, `reaching` and `clips` demonstrations and `validation` of each task, and detect."""
+    detector = models.load_detector()
+
+    def arm(name: str, count: int, seed: int) -> list[ArmTrack]:
+        place = collect(directory / name, Reaching(), count, seed, workers)
+        return detect_tracks(detector, place)[:count]
+
+    def hand(name: str, count: int, seed: int) -> list[HandClip]:
+        place = collect(directory / name, HandPlacing(), count, seed, workers)
+        return [_clip(detector, recording) for recording in recordings(place)[:count]]
+
+    return Data(
+        arm("reaching", reaching, _REACHING),
+        arm("reaching-validation", validation, _REACHING_VALIDATION),
+        hand("placing", clips, _PLACING),
+        hand("placing-validation", validation, _PLACING_VALIDATION),
+    )
+
+
+def _clip(detector: KeypointDetector, recording) -> HandClip:  # type: ignore[no-untyped-def]
+    images = recording.images[[0, len(recording.images) // 2, -1]]
+    return HandClip(KeypointTrack(detector.detect(recording.images), recording.times), recording.place, images)
