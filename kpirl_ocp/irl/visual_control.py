@@ -88,7 +88,9 @@ class Controller:
         """A controller with the problem that it needs."""
         return cls(planning_problem(dynamics, cost.horizon), dynamics, cost, closed_loop, confidence)
 
-    def plan(self, state: Array, goal: Array, steps_taken: int = 0, guess: Solution | Trajectory | None = None) -> Solution:
+    def plan(
+        self, state: Array, goal: Array, steps_taken: int = 0, guess: Solution | Trajectory | None = None
+    ) -> Solution:
         """The plan from state (n_s,) with what is left of the cost after `steps_taken`."""
         cost = self.cost.after(steps_taken)
         return cost.solver.solve(self.problem, state, cost.psi, goal, guess)

@@ -8,6 +8,7 @@ the steps beyond the horizon get no weight.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,6 +66,7 @@ class PlanningCost:
         )
 
 
+@lru_cache(maxsize=8)
 def planning_problem(dynamics: NetworkDynamics, horizon: int) -> OCP:
     """Plan with any `PlanningCost`; context is z_goal (n_z,)."""
     family = KeypointCost(TimeDependent(), effort=(0.0,) * horizon, learn_effort=True)

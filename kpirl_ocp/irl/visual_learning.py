@@ -93,9 +93,7 @@ def learn_unrolled(
     cost = KeypointCost(basis, effort=start, learn_effort=learned)
     weights = starting_weights(basis, horizon, dynamics.n_z, rng)
     method = Unrolled(inner.solver)
-    return _learn(
-        dynamics, demonstrations, cost, weights, method, Adam(learning_rate), iterations, inner.solver
-    )
+    return _learn(dynamics, demonstrations, cost, weights, method, Adam(learning_rate), iterations, inner.solver)
 
 
 def learn_implicit(

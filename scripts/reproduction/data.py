@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import joblib
 import numpy as np
+import torch
 
 from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.episodes import ArmTrack, KeypointTrack
@@ -40,22 +42,31 @@ class Models:
         return cls(*(card.resolve() for card in cards), digest=str(joblib.hash(files)))
 
     def load_detector(self) -> KeypointDetector:
-        """The detector, on one thread, because jobs run side by side."""
-        import torch
-
-        torch.set_num_threads(1)
-        return KeypointDetector.load(self.detector)
+        """The detector; read once per process."""
+        return _load_detector(self)
 
     def load_dynamics(self, task: str) -> NetworkDynamics:
-        """The dynamics of a task, "reaching" or "placing"."""
-        return load_dynamics({"reaching": self.reaching, "placing": self.placing}[task])
+        """The dynamics of a task, "reaching" or "placing"; read once per process, so that problems can be shared."""
+        return _load_dynamics(self, task)
+
+
+@lru_cache(maxsize=1)
+def _load_detector(models: Models) -> KeypointDetector:
+    torch.set_num_threads(1)  # jobs run side by side
+    return KeypointDetector.load(models.detector)
+
+
+@lru_cache(maxsize=2)
+def _load_dynamics(models: Models, task: str) -> NetworkDynamics:
+    return load_dynamics({"reaching": models.reaching, "placing": models.placing}[task])
 
 
 @dataclass(frozen=True, eq=False)
 class HandClip:
     """A person's demonstration at 5 Hz.
 
-    track: detected keypoints. places: (T+1, 2) truth about the bottle [pixels]. images: (3, H, W, 3), first, middle, last.
+    track: detected keypoints. places: (T+1, 2) truth about the bottle [pixels].
+    images: (3, H, W, 3), the first, the middle and the last.
     """
 
     track: KeypointTrack

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from reproduction.placing import SIZE
 
 from kpirl_ocp.figures import COLOURS, GREY, bands, new_figure
 from kpirl_ocp.perception.keypoints import to_pixels
 from kpirl_ocp.types import Array
+from reproduction.placing import SIZE
 
 Runs = Mapping[str, Sequence[Array]]
 
@@ -27,7 +27,7 @@ def curves(panels: Mapping[str, Runs], ylabel: str) -> Figure:
 
 
 def bars(panels: Mapping[str, Mapping[str, Mapping[str, Array]]], ylabel: str) -> Figure:
-    """Grouped bars: panel -> group along the axis -> colour -> values over seeds; mean, standard deviation, each value."""
+    """Grouped bars, mean and standard deviation: panel -> group along the axis -> colour -> values over seeds."""
     figure, axes = new_figure(1, len(panels), width=5.4)
     for axis, (title, groups) in zip(axes, panels.items(), strict=True):
         names = list(dict.fromkeys(name for colours in groups.values() for name in colours))
@@ -100,7 +100,9 @@ def success(table: Mapping[str, Mapping[str, float]], threshold: str) -> Figure:
     width = 0.8 / len(names)
     for index, name in enumerate(names):
         places = np.arange(len(table)) + (index - (len(names) - 1) / 2) * width
-        axis.bar(places, [100 * row[name] for row in table.values()], 0.9 * width, color=(*COLOURS, GREY)[index], label=name)
+        axis.bar(
+            places, [100 * row[name] for row in table.values()], 0.9 * width, color=(*COLOURS, GREY)[index], label=name
+        )
     axis.set_xticks(range(len(table)), list(table), fontsize=8)
     axis.set(ylabel=f"success: {threshold} [%]", ylim=(0, 100))
     axis.grid(alpha=0.3, axis="y")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from reproduction.data import Models
-from reproduction.sweep import Job, Result
 
 from kpirl_ocp.errors import CertificateError, ProblemError
 from kpirl_ocp.irl.evaluation import evaluate
@@ -23,6 +21,8 @@ from kpirl_ocp.irl.visual_learning import (
 )
 from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
 from kpirl_ocp.types import Demonstration
+from reproduction.data import Models
+from reproduction.sweep import Job, Result
 
 METHODS = (
     "unrolled",
@@ -81,7 +81,11 @@ def unpacked(result: Result, inner: InnerLoop) -> PlanningCost:
 
 
 def choice_jobs(
-    task: str, models: Models, demonstrations: Sequence[Demonstration], inner_loops: Sequence[InnerLoop], iterations: int
+    task: str,
+    models: Models,
+    demonstrations: Sequence[Demonstration],
+    inner_loops: Sequence[InnerLoop],
+    iterations: int,
 ) -> list[Job]:
     """For every inner loop and cost: learn from the first validation demonstration, judge on the others."""
     return [
@@ -122,7 +126,9 @@ def try_inner_loop(
 def choose(results: dict[str, Result], task: str, inner_loops: Sequence[InnerLoop]) -> tuple[InnerLoop, list[float]]:
     """The inner loop with the lowest validation loss in the mean over the costs; and all those losses."""
     losses = [
-        float(np.mean([results[f"choice/{task}-{loop.steps}-{loop.step_size:g}-{cost}"]["validation"] for cost in COSTS]))
+        float(
+            np.mean([results[f"choice/{task}-{loop.steps}-{loop.step_size:g}-{cost}"]["validation"] for cost in COSTS])
+        )
         for loop in inner_loops
     ]
     if not np.isfinite(losses).any():

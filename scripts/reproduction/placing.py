@@ -8,13 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
-from reproduction.data import HandClip, Models
-from reproduction.learning import learn, packed, unpacked
-from reproduction.reaching import DEFAULT, EFFORT, IMPLICIT, Contender, iterations_of
-from reproduction.settings import COSTS, STARTS, Preset
-from reproduction.sweep import Job, Result
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.visual_control import Controller, Execution
@@ -26,6 +22,11 @@ from kpirl_ocp.perception.plant import CameraPlant, Disturbance, in_plane
 from kpirl_ocp.perception.posture import UPRIGHT, carry
 from kpirl_ocp.perception.scene import Scene
 from kpirl_ocp.types import Array, Demonstration
+from reproduction.data import HandClip, Models
+from reproduction.learning import learn, packed, unpacked
+from reproduction.reaching import DEFAULT, EFFORT, IMPLICIT, Contender, iterations_of
+from reproduction.settings import COSTS, STARTS, Preset
+from reproduction.sweep import Job, Result
 
 RATE = 1  # [Hz] of the robot; the demonstration is read at 5 Hz, its ten steps are the plan's
 SIZE = 240  # of the images [pixels]
@@ -131,9 +132,7 @@ class Condition:
     confidence: float = 0.0
 
 
-def execution_jobs(
-    models: Models, found: dict[int, Setup], learned: dict[str, Result], inner: InnerLoop
-) -> list[Job]:
+def execution_jobs(models: Models, found: dict[int, Setup], learned: dict[str, Result], inner: InnerLoop) -> list[Job]:
     """Every contender from both starts, in open and in closed loop."""
     return [
         Job(
@@ -194,6 +193,7 @@ def play(
         return controller.run(plant, setup.demonstration.context), plant
 
 
+@lru_cache(maxsize=4)
 def _exaggerated(dynamics: NetworkDynamics, gain: float) -> NetworkDynamics:
     """The model with keypoints that move `gain` times as far."""
     zeros, ones = np.zeros(dynamics.mlp.n_in), np.ones(dynamics.mlp.n_in)
@@ -213,4 +213,15 @@ def scores(done: Execution, plant: CameraPlant, setup: Setup) -> Result:
         "bottle": float(np.linalg.norm(plant.places[-1] - setup.goal_place)),
         "path": to_pixels(positions(done.keypoints).reshape(len(done.keypoints), -1, 2), SIZE),
         "tracking_error": done.tracking_error,
+    }
+
+
+def shown(clips: Sequence[HandClip], seed: int) -> Result:
+    """The person's demonstration of a seed, for the image strips; its goal is where it ended."""
+    clip = clips[seed % len(clips)]
+    seen = clip.track.keypoints
+    return {
+        "images": clip.images,
+        "keypoints": seen[[0, len(seen) // 2, len(seen) - 1]],
+        "goal": positions(seen[-1]),
     }

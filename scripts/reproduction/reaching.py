@@ -10,10 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from reproduction.data import Models
-from reproduction.learning import learn, packed, unpacked
-from reproduction.settings import COSTS, Preset
-from reproduction.sweep import Job, Result
 
 from kpirl_ocp.episodes import ArmTrack
 from kpirl_ocp.irl.evaluation import evaluate, relative_distance
@@ -22,6 +18,10 @@ from kpirl_ocp.irl.visual_costs import planning_problem
 from kpirl_ocp.irl.visual_demonstrations import moving_keypoints, own_demonstration, positions
 from kpirl_ocp.irl.visual_learning import InnerLoop
 from kpirl_ocp.types import Demonstration, Mask
+from reproduction.data import Models
+from reproduction.learning import learn, packed, unpacked
+from reproduction.settings import COSTS, Preset
+from reproduction.sweep import Job, Result
 
 RATE = 5  # [Hz]
 

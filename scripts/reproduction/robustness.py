@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+
+from kpirl_ocp.irl.visual_learning import InnerLoop
+from kpirl_ocp.ocp.kinematics import Robot
+from kpirl_ocp.perception.plant import Disturbance
 from reproduction.data import Models
 from reproduction.placing import SUCCESS, Condition, Setup, name_of, play, scores
 from reproduction.reaching import DEFAULT, Contender
 from reproduction.sweep import Job, Result
-
-from kpirl_ocp.irl.visual_learning import InnerLoop
-from kpirl_ocp.perception.plant import Disturbance
 
 _HIDING = Disturbance(hidden=0, since=4, until=8)
 CONDITIONS: Mapping[str, Condition] = {
@@ -22,21 +23,24 @@ CONDITIONS: Mapping[str, Condition] = {
     "keypoint hidden": Condition(_HIDING),
     "keypoint hidden, mu used": Condition(_HIDING, confidence=0.7),
 }
-CONTENDERS = (
+TIME_DEPENDENT = Contender("TimeDep", "unrolled")
+CLOSED = (
     Contender("Weighted", "unrolled"),
-    Contender("TimeDep", "unrolled"),
+    TIME_DEPENDENT,
     Contender("RBF", "unrolled"),
     Contender("TimeDep", "implicit"),
     DEFAULT,
 )
+RUNS = (*((contender, True) for contender in CLOSED), (TIME_DEPENDENT, False))  # the last for comparison
 _NEAR, _FAR = 0.01, 0.12  # how far joints 2, 4 and 6 are from start 1, at most [rad]
+_LIMITS = Robot.iiwa().joint_limits
 _IN_PLANE = np.array([0, 1, 0, 1, 0, 1, 0])
 
 
 def jobs(
     models: Models, found: dict[int, Setup], learned: dict[str, Result], inner: InnerLoop, cases: int
 ) -> list[Job]:
-    """One for every condition, contender and kind of loop; case i has the setup and cost of one seed after another."""
+    """One for every condition and run; case i has the setup and cost of one seed after another."""
     setups = list(found.items())
     drawn = [setups[case % len(setups)] for case in range(cases)]
     return [
@@ -54,9 +58,13 @@ def jobs(
             },
         )
         for condition in CONDITIONS
-        for contender in CONTENDERS
-        for closed in (False, True)
+        for contender, closed in RUNS
     ]
+
+
+def label(contender: Contender, closed: bool) -> str:
+    """As the report names a run."""
+    return contender.label if closed else f"{contender.label}, open loop"
 
 
 def name(condition: str, contender: Contender, closed: bool) -> str:
@@ -79,7 +87,7 @@ def run(
     for case, (setup, cost) in enumerate(zip(setups, learned, strict=True)):
         rng = np.random.default_rng([case, 11])
         spread = _FAR if far else _NEAR
-        joints = setup.joints[0] + _IN_PLANE * rng.uniform(-spread, spread, 7)
+        joints = np.clip(setup.joints[0] + _IN_PLANE * rng.uniform(-spread, spread, 7), *_LIMITS)
         done, plant = play(models, cost, inner, joints, setup, closed_loop, condition, rng)
         found = scores(done, plant, setup)
         distances.append(found["bottle"])

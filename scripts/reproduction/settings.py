@@ -51,7 +51,7 @@ PRESETS: Mapping[str, Preset] = {
         baseline_iterations=3,
         study_iterations=3,
         study_tests=1,
-        cases=2,
+        cases=1,
     ),
     "full": Preset(),
 }

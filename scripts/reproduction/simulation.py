@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from reproduction.settings import Preset
-from reproduction.sweep import Job, Result
 
 from kpirl_ocp.irl.study import StudySettings, run_case
 from kpirl_ocp.irl.tasks import TASKS, write_demonstrations
 from kpirl_ocp.ocp.kinematics import Robot
+from reproduction.settings import Preset
+from reproduction.sweep import Job, Result
 
 
 def jobs(preset: Preset, seeds: Sequence[int]) -> list[Job]:

@@ -1,8 +1,8 @@
 """A sweep: many independent jobs, in parallel here or on a cluster, each result kept on disk as soon as it is there.
 
-A job is a plain function with plain arguments that returns a flat dictionary of numbers and arrays. Its result is stored
-under its name and a hash of all its arguments, so that a sweep that was stopped goes on, and results of other settings
-are never mixed in.
+A job is a plain function with plain arguments that returns a flat dictionary of numbers and arrays. Its result is
+stored under its name and a hash of all its arguments, so that a sweep that was stopped goes on, and results of other
+settings are never mixed in.
 """
 
 from __future__ import annotations
@@ -118,6 +118,7 @@ def _ray(address: str | None) -> contextlib.AbstractContextManager[Any]:
 def _send_by_value() -> None:
     """Workers elsewhere have the package installed, but not these scripts: send the scripts along."""
     import cloudpickle
+
     import reproduction
 
     cloudpickle.register_pickle_by_value(reproduction)
