@@ -2,7 +2,8 @@
 
 The paper's inner loop takes N gradient steps of size alpha and is differentiated by unrolling; its weights are free.
 The converged inner problem needs an effort weight, which starts at rho = 1 / (2 alpha N), as far as N steps go, and
-non-negative weights; it is differentiated implicitly.
+positive weights. These are learned as logarithms, because efforts are hundreds of times larger than weights; the
+gradient is implicit.
 """
 
 from __future__ import annotations
@@ -108,7 +109,7 @@ def learn_implicit(
     """The converged inner problem, its implicit gradient and L-BFGS, which may end before `iterations`."""
     horizon = horizon_of(demonstrations)
     rho: float | tuple[float, ...] = (inner.effort,) * horizon if effort == "learned per step" else inner.effort
-    cost = KeypointCost(basis, effort=rho, learn_effort=effort != "fixed", positivity="softplus")
+    cost = KeypointCost(basis, effort=rho, learn_effort=effort != "fixed", positivity="exp")
     weights = starting_weights(basis, horizon, dynamics.n_z, rng)
     return _learn(dynamics, demonstrations, cost, weights, Implicit(CONVERGED), LBFGS(), iterations, CONVERGED)
 
