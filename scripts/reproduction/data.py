@@ -12,6 +12,7 @@ import torch
 
 from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.episodes import ArmTrack, KeypointTrack
+from kpirl_ocp.errors import ModelError
 from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.network_files import load_dynamics
 from kpirl_ocp.perception.clips import detect_tracks, recordings
@@ -36,9 +37,13 @@ class Models:
 
     @classmethod
     def find(cls, directory: str | None) -> Models:
-        """The models in a directory, or the ones that come with the package."""
+        """The models in a directory, or the ones that come with the package. Raises ModelError if one is missing."""
         cards = [shipped_model(name) if directory is None else Path(directory) / f"{name}.json" for name in NAMES]
-        files = [path.read_bytes() for card in cards for path in (card, card.with_suffix(".safetensors"))]
+        paths = [path for card in cards for path in (card, card.with_suffix(".safetensors"))]
+        missing = [str(path) for path in paths if not path.is_file()]
+        if missing:
+            raise ModelError(f"--models {directory}: there is no {', '.join(missing)}.")
+        files = [path.read_bytes() for path in paths]
         return cls(*(card.resolve() for card in cards), digest=str(joblib.hash(files)))
 
     def load_detector(self) -> KeypointDetector:
