@@ -57,9 +57,11 @@ def experiments(models: Models, material: Data, preset: Preset, seeds: Sequence[
             for index, clip in enumerate(material.placing_validation)
         ],
     }
-    arguments = (preset.inner_loops, preset.choice_iterations)
+    iterations = {"reaching": preset.reaching_iterations, "placing": preset.placing_iterations}
     candidates = [
-        job for task, demos in validation.items() for job in learning.choice_jobs(task, models, demos, *arguments)
+        job
+        for task, demos in validation.items()
+        for job in learning.choice_jobs(task, models, demos, preset.inner_loops, iterations[task])
     ]
     tried = stage("2/6 choice of inner loop", candidates)
     choices = {task: learning.choose(tried, task, preset.inner_loops) for task in validation}

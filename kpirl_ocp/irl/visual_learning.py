@@ -1,9 +1,9 @@
 """Learning costs from visual demonstrations: the paper's way, with the converged inner problem, and its baseline.
 
 The paper's inner loop takes N gradient steps of size alpha and is differentiated by unrolling; its weights are free.
-The converged inner problem needs an effort weight, which starts at rho = 1 / (2 alpha N), as far as N steps go, and
-positive weights. These are learned as logarithms, because efforts are hundreds of times larger than weights; the
-gradient is implicit.
+The converged inner problem needs an effort weight and positive weights. It goes about as far as N gradient steps with
+an effort of rho = 1 / (2 alpha N) times the weights; the cost is divided by rho, so that effort is 1 and the weights are
+small numbers. Softplus changes small weights by factors and large ones by amounts. The gradient is implicit.
 """
 
 from __future__ import annotations
@@ -108,9 +108,9 @@ def learn_implicit(
 ) -> LearnedPlan:
     """The converged inner problem, its implicit gradient and L-BFGS, which may end before `iterations`."""
     horizon = horizon_of(demonstrations)
-    rho: float | tuple[float, ...] = (inner.effort,) * horizon if effort == "learned per step" else inner.effort
-    cost = KeypointCost(basis, effort=rho, learn_effort=effort != "fixed", positivity="exp")
-    weights = starting_weights(basis, horizon, dynamics.n_z, rng)
+    rho: float | tuple[float, ...] = (1.0,) * horizon if effort == "learned per step" else 1.0
+    cost = KeypointCost(basis, effort=rho, learn_effort=effort != "fixed", positivity="softplus")
+    weights = starting_weights(basis, horizon, dynamics.n_z, rng) / inner.effort
     return _learn(dynamics, demonstrations, cost, weights, Implicit(CONVERGED), LBFGS(), iterations, CONVERGED)
 
 

@@ -20,7 +20,7 @@ def curves(panels: Mapping[str, Runs], ylabel: str) -> Figure:
     """Lines with bands over seeds, one panel per title."""
     figure, axes = new_figure(1, len(panels), width=4.6)
     for axis, (title, runs) in zip(axes, panels.items(), strict=True):
-        bands(axis, runs)
+        bands(axis, {name: values for name, values in runs.items() if len(values)})
         axis.set(title=title, xlabel="outer iteration", ylabel=ylabel)
         axis.legend(fontsize=7)
     return figure
@@ -35,6 +35,7 @@ def bars(panels: Mapping[str, Mapping[str, Mapping[str, Array]]], ylabel: str) -
         for index, name in enumerate(names):
             places = np.arange(len(groups)) + (index - (len(names) - 1) / 2) * width
             values = [np.asarray(colours[name], float) for colours in groups.values()]
+            values = [v if len(v) else np.full(1, np.nan) for v in values]  # not learned: no bar
             means, spreads = [v.mean() for v in values], [v.std() for v in values]
             axis.bar(places, means, 0.9 * width, yerr=spreads, color=COLOURS[index], label=name, capsize=2)
         axis.set_xticks(range(len(groups)), list(groups), fontsize=7, rotation=20, ha="right")

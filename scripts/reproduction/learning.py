@@ -62,9 +62,22 @@ def learn(
     return learn_implicit(dynamics, demonstrations, COSTS[cost], inner, iterations, rng, effort=kinds[method])
 
 
-def packed(learned: LearnedPlan, method: str) -> Result:
-    """What a job returns of a learned cost; `unpacked` gives the cost back."""
+def learn_or_fail(
+    dynamics: NetworkDynamics,
+    demonstrations: Sequence[Demonstration],
+    cost: str,
+    method: str,
+    inner: InnerLoop,
+    iterations: int,
+    seed: int,
+) -> Result:
+    """What a job returns of a learned cost (`unpacked` gives it back), or the "failure" that the report will name."""
+    try:
+        learned = learn(dynamics, demonstrations, cost, method, inner, iterations, seed)
+    except CertificateError as error:
+        return {"failure": str(error)}
     return {
+        "failure": "",
         "weights": learned.cost.weights,
         "efforts": learned.cost.efforts,
         "losses": learned.losses,
@@ -114,23 +127,27 @@ def try_inner_loop(
     cost: str,
     iterations: int,
 ) -> Result:
-    """Training and validation loss; infinite if learning broke down."""
+    """Training and validation losses, one per demonstration learned from; infinite where learning broke down."""
     dynamics = models.load_dynamics(task)
-    try:
-        learned = learn(dynamics, demonstrations[:1], cost, "unrolled", inner, iterations, seed=0)
-    except CertificateError:  # NaN: the steps are too long
-        return {"train": np.inf, "validation": np.inf}
-    return {"train": learned.losses.min(), "validation": _mean_loss(dynamics, learned.cost, demonstrations[1:])}
+    train, validation = [], []
+    for index, demonstration in enumerate(demonstrations):
+        others = demonstrations[:index] + demonstrations[index + 1 :]
+        try:
+            learned = learn(dynamics, [demonstration], cost, "unrolled", inner, iterations, seed=index)
+        except CertificateError:  # NaN: the steps are too long
+            return {"train": np.full(1, np.inf), "validation": np.full(1, np.inf)}
+        train.append(learned.losses.min())
+        validation.append(_mean_loss(dynamics, learned.cost, others))
+    return {"train": np.array(train), "validation": np.array(validation)}
 
 
 def choose(results: dict[str, Result], task: str, inner_loops: Sequence[InnerLoop]) -> tuple[InnerLoop, list[float]]:
     """The inner loop with the lowest validation loss in the mean over the costs; and all those losses."""
-    losses = [
-        float(
-            np.mean([results[f"choice/{task}-{loop.steps}-{loop.step_size:g}-{cost}"]["validation"] for cost in COSTS])
-        )
-        for loop in inner_loops
-    ]
+    losses = []
+    for loop in inner_loops:
+        names = [f"choice/{task}-{loop.steps}-{loop.step_size:g}-{cost}" for cost in COSTS]
+        mean = float(np.mean([results[name]["validation"].mean() for name in names]))
+        losses.append(mean if np.isfinite(mean) else np.inf)
     if not np.isfinite(losses).any():
         raise ProblemError(f"no inner loop can learn {task}: choose smaller steps.")
     return inner_loops[int(np.argmin(losses))], losses

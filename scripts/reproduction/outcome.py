@@ -31,17 +31,30 @@ class Outcome:
     results: dict[str, Result]
 
     def reaching(self, contender: Contender, count: int, key: str) -> list[Array]:
-        """A result of experiment 1, per seed."""
-        return [self.results[reaching.name_of(contender, count, seed)][key] for seed in self.seeds]
+        """A result of experiment 1 from every seed in which the cost was learned."""
+        found = [self.results[reaching.name_of(contender, count, seed)] for seed in self.seeds]
+        return [result[key] for result in found if not result["failure"]]
 
     def placing(self, contender: Contender, key: str) -> list[Array]:
-        """A result of learning in experiment 2, per seed."""
-        return [self.results[placing.name_of(contender, seed)][key] for seed in self.seeds]
+        """A result of learning in experiment 2 from every seed in which the cost was learned."""
+        found = [self.results[placing.name_of(contender, seed)] for seed in self.seeds]
+        return [result[key] for result in found if not result["failure"]]
 
     def executed(self, contender: Contender, start: int, closed: bool, key: str) -> Array:
-        """A result of playing it, (seeds, ...)."""
+        """A result of playing it, (seeds, ...); seeds in which the cost was not learned are left out."""
         names = [placing.executed_name(contender, seed, start, closed) for seed in self.seeds]
-        return np.array([self.results[name][key] for name in names])
+        return np.array([self.results[name][key] for name in names if name in self.results])
+
+    def failures(self) -> dict[str, str]:
+        """The costs that could not be learned, and why."""
+        return {name: str(found["failure"]) for name, found in self.results.items() if found.get("failure")}
+
+    @property
+    def robust_runs(self) -> dict[str, tuple[Contender, bool]]:
+        """The runs of the robustness study whose costs were all learned, by label."""
+        first = next(iter(robustness.CONDITIONS))
+        able = [run for run in robustness.RUNS if robustness.name(first, *run) in self.results]
+        return {robustness.label(*run): run for run in able}
 
     def robust(self, condition: str, contender: Contender, closed: bool, key: str) -> Array:
         """A result of the robustness study."""

@@ -23,7 +23,7 @@ from kpirl_ocp.perception.posture import UPRIGHT, carry
 from kpirl_ocp.perception.scene import Scene
 from kpirl_ocp.types import Array, Demonstration
 from reproduction.data import HandClip, Models
-from reproduction.learning import learn, packed, unpacked
+from reproduction.learning import learn_or_fail, unpacked
 from reproduction.reaching import DEFAULT, EFFORT, IMPLICIT, Contender, iterations_of
 from reproduction.settings import COSTS, STARTS, Preset
 from reproduction.sweep import Job, Result
@@ -119,8 +119,7 @@ def run(
 ) -> Result:
     """Learn from the one demonstration."""
     dynamics = models.load_dynamics("placing")
-    learned = learn(dynamics, [demonstration], contender.cost, contender.method, inner, iterations, seed)
-    return packed(learned, contender.method)
+    return learn_or_fail(dynamics, [demonstration], contender.cost, contender.method, inner, iterations, seed)
 
 
 @dataclass(frozen=True)
@@ -151,6 +150,7 @@ def execution_jobs(models: Models, found: dict[int, Setup], learned: dict[str, R
         for contender in CONTENDERS
         for start in STARTS
         for closed in (False, True)
+        if not learned[name_of(contender, seed)]["failure"]
     ]
 
 

@@ -19,7 +19,7 @@ from kpirl_ocp.irl.visual_demonstrations import moving_keypoints, own_demonstrat
 from kpirl_ocp.irl.visual_learning import InnerLoop
 from kpirl_ocp.types import Demonstration, Mask
 from reproduction.data import Models
-from reproduction.learning import learn, packed, unpacked
+from reproduction.learning import learn_or_fail, unpacked
 from reproduction.settings import COSTS, Preset
 from reproduction.sweep import Job, Result
 
@@ -103,13 +103,15 @@ def run(
 ) -> Result:
     """Learn, and plan for the test demonstrations: their IRL losses and relative distances (n_test,)."""
     dynamics = models.load_dynamics("reaching")
-    learned = learn(dynamics, train, contender.cost, contender.method, inner, iterations, seed)
-    problem = planning_problem(dynamics, learned.cost.horizon)
-    found = evaluate(problem, learned.cost.solver, learned.cost.psi, test)
+    learned = learn_or_fail(dynamics, train, contender.cost, contender.method, inner, iterations, seed)
+    if learned["failure"]:
+        return learned
+    cost = unpacked(learned, inner)
+    found = evaluate(planning_problem(dynamics, cost.horizon), cost.solver, cost.psi, test)
     x_of_moving = np.stack([moving, np.zeros_like(moving)], axis=1).ravel()
     planned = [plan.states[:, : dynamics.n_z] for plan in found.solutions]
     pairs = list(zip(planned, test, strict=True))
-    return packed(learned, contender.method) | {
+    return learned | {
         "test": found.losses,
         "distance": found.relative_distances,
         "distance_x": np.array([relative_distance(z, demo, x_of_moving) for z, demo in pairs]),
@@ -136,6 +138,7 @@ def execution_jobs(
         )
         for contender in (*PAPER, DEFAULT)
         for closed in (False, True)
+        if not learned[name_of(contender, count, seed)]["failure"]
     ]
 
 

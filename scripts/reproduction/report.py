@@ -49,6 +49,9 @@ def _findings(page: Page, outcome: Outcome) -> None:
     page.heading("The paper's findings, tested")
     rows = [[claim.text, "holds" if claim.holds else "does NOT hold", claim.numbers] for claim in claims(outcome)]
     page.table(["finding", "here", "numbers"], rows, f"Means over seeds {list(outcome.seeds)}.")
+    failed = [[name, reason] for name, reason in outcome.failures().items()]
+    if failed:
+        page.table(["not learned", "why"], failed, "These are left out of means; where all seeds fail, it says so.")
 
 
 def _choice(page: Page, outcome: Outcome) -> None:
@@ -246,7 +249,7 @@ def _robustness(page: Page, outcome: Outcome) -> None:
         f"{outcome.preset.cases} random cases per condition from around start 1. Success: the bottle's middle, which "
         f"only the simulation knows, ends within {SUCCESS:g} px (31 mm) of where it should."
     )
-    runs = {robustness.label(*run): run for run in robustness.RUNS}
+    runs = outcome.robust_runs
     rates = {
         condition: {name: float(outcome.robust(condition, *run, "success")) for name, run in runs.items()}
         for condition in robustness.CONDITIONS
@@ -269,7 +272,7 @@ def _median(outcome: Outcome, condition: str, contender: Contender, closed: bool
 def spread(values: Sequence[Any] | Array) -> str:
     """Mean and standard deviation over seeds; tests of one seed are averaged first."""
     runs = _per_seed(values)
-    return f"{runs.mean():.3g} ± {runs.std():.2g}"
+    return f"{runs.mean():.3g} ± {runs.std():.2g}" if len(runs) else "not learned"
 
 
 def _per_seed(values: Sequence[Any] | Array) -> Array:

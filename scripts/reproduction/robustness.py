@@ -40,9 +40,10 @@ _IN_PLANE = np.array([0, 1, 0, 1, 0, 1, 0])
 def jobs(
     models: Models, found: dict[int, Setup], learned: dict[str, Result], inner: InnerLoop, cases: int
 ) -> list[Job]:
-    """One for every condition and run; case i has the setup and cost of one seed after another."""
+    """One for every condition and run whose costs were learned; the cases take the seeds' setups and costs in turn."""
     setups = list(found.items())
     drawn = [setups[case % len(setups)] for case in range(cases)]
+    able = [run for run in RUNS if not any(learned[name_of(run[0], seed)]["failure"] for seed in found)]
     return [
         Job(
             name(condition, contender, closed),
@@ -58,7 +59,7 @@ def jobs(
             },
         )
         for condition in CONDITIONS
-        for contender, closed in RUNS
+        for contender, closed in able
     ]
 
 
