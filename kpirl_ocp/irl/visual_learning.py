@@ -2,7 +2,7 @@
 
 The paper's inner loop takes N gradient steps of size alpha and is differentiated by unrolling; its weights are free.
 The converged inner problem needs an effort weight and positive weights. It goes about as far as N gradient steps with
-an effort of rho = 1 / (2 alpha N) times the weights; the cost is divided by rho, so that effort is 1 and the weights are
+an effort of rho = 1 / (2 alpha N) times the weights; the cost is divided by rho, so that effort is 1 and weights are
 small numbers. Softplus changes small weights by factors and large ones by amounts. The gradient is implicit.
 """
 
