@@ -63,25 +63,26 @@ def experiments(models: Models, material: Data, preset: Preset, seeds: Sequence[
         for task, demos in validation.items()
         for job in learning.choice_jobs(task, models, demos, preset.inner_loops, iterations[task])
     ]
-    tried = stage("2/6 choice of inner loop", candidates)
-    choices = {task: learning.choose(tried, task, preset.inner_loops) for task in validation}
+    judged = stage("2/6 choice of inner loop", candidates)
+    tried = {task: learning.tried(judged, task, preset.inner_loops) for task in validation}
+    chosen = {task: learning.choose(task, found) for task, found in tried.items()}
 
     found = placing.setups(models, material.placing, seeds)
     learned = stage(
         "3/6 learning",
         [
-            *reaching.jobs(models, material.reaching, choices["reaching"][0], preset, seeds),
-            *placing.jobs(models, found, choices["placing"][0], preset),
+            *reaching.jobs(models, material.reaching, chosen["reaching"], preset, seeds),
+            *placing.jobs(models, found, chosen["placing"], preset),
         ],
     )
     stage(
         "4/6 reaching, executed",
-        reaching.execution_jobs(models, material.reaching, learned, choices["reaching"][0], preset, seeds[0]),
+        reaching.execution_jobs(models, material.reaching, learned, chosen["reaching"], preset, seeds[0]),
     )
-    stage("5/6 placing, executed", placing.execution_jobs(models, found, learned, choices["placing"][0]))
-    stage("6/6 robustness", robustness.jobs(models, found, learned, choices["placing"][0], preset.cases))
+    stage("5/6 placing, executed", placing.execution_jobs(models, found, learned, chosen["placing"]))
+    stage("6/6 robustness", robustness.jobs(models, found, learned, chosen["placing"], preset.cases))
     stage.results |= {f"demonstration-{seed}": placing.shown(material.placing, seed) for seed in seeds}
-    return Outcome(preset, seeds, choices, stage.results)
+    return Outcome(preset, seeds, chosen, tried, stage.results)
 
 
 def main() -> None:
@@ -96,7 +97,7 @@ def main() -> None:
         outcome = experiments(models, material, preset, seeds, Stages(out, args.jobs))
 
     settings = vars(args) | {"seeds": seeds, "preset": asdict(preset), "models": asdict(models)}
-    settings |= {"inner_loops": {task: asdict(loop) for task, (loop, _) in outcome.choices.items()}}
+    settings |= {"inner_loops": {task: asdict(loop) for task, loop in outcome.chosen.items()}}
     page = Page("Model-Based Inverse Reinforcement Learning from Visual Demonstrations, reproduced")
     report.write(page, outcome, settings)
     for claim in claims(outcome):

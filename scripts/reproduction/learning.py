@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -127,30 +128,60 @@ def try_inner_loop(
     cost: str,
     iterations: int,
 ) -> Result:
-    """Training and validation losses, one per demonstration learned from; infinite where learning broke down."""
+    """Validation loss and relative distance, one per demonstration learned from, and those of Default.
+
+    The loss is infinite where learning broke down.
+    """
     dynamics = models.load_dynamics(task)
-    train, validation = [], []
+    problem = planning_problem(dynamics, horizon_of(demonstrations))
+    default = PlanningCost.default(problem.horizon, dynamics.n_z, inner.solver)
+    plain = evaluate(problem, default.solver, default.psi, demonstrations)
+    found = []
     for index, demonstration in enumerate(demonstrations):
         others = demonstrations[:index] + demonstrations[index + 1 :]
         try:
             learned = learn(dynamics, [demonstration], cost, "unrolled", inner, iterations, seed=index)
         except CertificateError:  # NaN: the steps are too long
-            return {"train": np.full(1, np.inf), "validation": np.full(1, np.inf)}
-        train.append(learned.losses.min())
-        validation.append(_mean_loss(dynamics, learned.cost, others))
-    return {"train": np.array(train), "validation": np.array(validation)}
+            found.append((np.inf, np.inf))
+            continue
+        judged = evaluate(problem, learned.cost.solver, learned.cost.psi, others)
+        found.append((judged.losses.mean(), judged.relative_distances.mean()))
+    losses, distances = np.array(found).T
+    return {
+        "validation": losses,
+        "distance": distances,
+        "default_loss": plain.losses.mean(),
+        "default_distance": plain.relative_distances.mean(),
+    }
 
 
-def choose(results: dict[str, Result], task: str, inner_loops: Sequence[InnerLoop]) -> tuple[InnerLoop, list[float]]:
-    """The inner loop with the lowest validation loss in the mean over the costs; and all those losses."""
-    losses = []
-    for loop in inner_loops:
-        names = [f"choice/{task}-{loop.steps}-{loop.step_size:g}-{cost}" for cost in COSTS]
-        mean = float(np.mean([results[name]["validation"].mean() for name in names]))
-        losses.append(mean if np.isfinite(mean) else np.inf)
-    if not np.isfinite(losses).any():
+@dataclass(frozen=True)
+class Tried:
+    """An inner loop on validation demonstrations: IRL loss and relative distance in the mean over the costs."""
+
+    inner: InnerLoop
+    loss: float
+    distance: float
+    default_loss: float
+    default_distance: float
+
+
+def tried(results: dict[str, Result], task: str, inner_loops: Sequence[InnerLoop]) -> list[Tried]:
+    """What became of every candidate."""
+    found = []
+    for inner in inner_loops:
+        names = [f"choice/{task}-{inner.steps}-{inner.step_size:g}-{cost}" for cost in COSTS]
+        keys = ("validation", "distance", "default_loss", "default_distance")
+        found.append(Tried(inner, *(float(np.mean([results[name][key].mean() for name in names])) for key in keys)))
+    return found
+
+
+def choose(task: str, candidates: Sequence[Tried]) -> InnerLoop:
+    """The inner loop with the lowest validation loss of the learned costs."""
+    able = [candidate for candidate in candidates if np.isfinite(candidate.loss)]
+    if not able:
         raise ProblemError(f"no inner loop can learn {task}: choose smaller steps.")
-    return inner_loops[int(np.argmin(losses))], losses
+    return min(able, key=lambda candidate: candidate.loss).inner
 
 
 def _mean_loss(dynamics: NetworkDynamics, cost: PlanningCost, demonstrations: Sequence[Demonstration]) -> float:

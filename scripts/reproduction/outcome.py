@@ -10,7 +10,8 @@ import numpy as np
 from kpirl_ocp.irl.visual_learning import InnerLoop
 from kpirl_ocp.types import Array
 from reproduction import placing, reaching, robustness
-from reproduction.reaching import DEFAULT, PAPER, Contender
+from reproduction.learning import Tried
+from reproduction.reaching import DEFAULT, Contender
 from reproduction.settings import COSTS, Preset
 from reproduction.sweep import Result
 
@@ -22,12 +23,13 @@ APPRENTICE = Contender("Weighted", "apprenticeship")
 class Outcome:
     """Settings and results by the names of jobs.
 
-    choices: per task, the inner loop that was chosen, and the validation loss of every candidate.
+    chosen: per task, the inner loop that was chosen. tried: per task, what became of every candidate.
     """
 
     preset: Preset
     seeds: Sequence[int]
-    choices: dict[str, tuple[InnerLoop, list[float]]]
+    chosen: dict[str, InnerLoop]
+    tried: dict[str, list[Tried]]
     results: dict[str, Result]
 
     def reaching(self, contender: Contender, count: int, key: str) -> list[Array]:
@@ -146,6 +148,3 @@ def _mean(values: Sequence[Array] | Array) -> float:
 
 def _list(values: dict[str, float]) -> str:
     return ", ".join(f"{name} {value:.3g}" for name, value in values.items())
-
-
-__all__ = ["APPRENTICE", "DEFAULT", "PAPER", "UNROLLED", "Claim", "Outcome", "axis_weights", "claims", "restlessness"]
