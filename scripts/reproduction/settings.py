@@ -30,7 +30,7 @@ class Preset:
     )
     reaching_iterations: int = 300  # 1000 did no better on validation demonstrations
     placing_iterations: int = 5000  # the paper's
-    implicit_iterations: int = 40
+    implicit_iterations: int = 30
     baseline_iterations: int = 100
     study_iterations: int = 100
     study_tests: int = 5
