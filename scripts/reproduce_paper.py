@@ -93,7 +93,7 @@ def main() -> None:
     models = Models.find(args.models)
     sizes = (max(preset.demonstrations) + preset.tests, preset.validation, len(seeds))
     material = data.prepare(out / "data", models, *sizes, workers=args.jobs)
-    with backend(args.backend, args.address):
+    with backend(args.backend, args.address, args.jobs):
         outcome = experiments(models, material, preset, seeds, Stages(out, args.jobs))
 
     settings = vars(args) | {"seeds": seeds, "preset": asdict(preset), "models": asdict(models)}

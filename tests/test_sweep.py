@@ -70,17 +70,17 @@ def test_two_jobs_of_one_name_are_refused(sweep, tmp_path):
 def test_dask_gives_the_same_results_as_this_machine(sweep, tmp_path):
     pytest.importorskip("distributed")
     here = sweep.run_sweep("here", jobs(sweep, [1, 2, 3], tmp_path / "a"), tmp_path / "here", 1)
-    with sweep.backend("dask", None):
+    with sweep.backend("dask", None, 2):
         there = sweep.run_sweep("dask", jobs(sweep, [1, 2, 3], tmp_path / "b"), tmp_path / "there", 2)
     assert {name: found["twice"] for name, found in there.items()} == {name: here[name]["twice"] for name in here}
 
 
 def test_a_backend_that_is_not_installed_says_how_to_get_it(sweep, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
-    with pytest.raises(ProblemError, match=r"pip install 'kpirl-ocp\[ray\]'"), sweep.backend("ray", None):
+    with pytest.raises(ProblemError, match=r"pip install 'kpirl-ocp\[ray\]'"), sweep.backend("ray", None, 1):
         pass
 
 
 def test_an_address_without_a_cluster_is_refused(sweep):
-    with pytest.raises(ProblemError, match="--address"), sweep.backend("loky", "tcp://somewhere:8786"):
+    with pytest.raises(ProblemError, match="--address"), sweep.backend("loky", "tcp://somewhere:8786", 1):
         pass

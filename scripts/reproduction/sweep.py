@@ -67,49 +67,52 @@ def _read(path: Path) -> Result:
 
 
 @contextlib.contextmanager
-def backend(name: str, address: str | None) -> Iterator[None]:
-    """Where joblib runs the jobs: "loky" on this machine, "dask" or "ray" at an address (None: a local cluster).
+def backend(name: str, address: str | None, workers: int) -> Iterator[None]:
+    """Where joblib runs the jobs: "loky" on this machine, "dask" or "ray" at an address (None: a cluster of `workers`).
+
+    A cluster's machines need the package, and the models at the same paths.
 
     Raises ProblemError if the package of a backend is not installed.
     """
     try:
-        manager = {"loky": _loky, "dask": _dask, "ray": _ray}[name](address)
+        manager = {"loky": _loky, "dask": _dask, "ray": _ray}[name](address, workers)
     except ImportError as error:
         raise ProblemError(f"--backend {name} needs its package: pip install 'kpirl-ocp[{name}]' ({error}).") from None
     with manager:
         yield
 
 
-def _loky(address: str | None) -> contextlib.AbstractContextManager[Any]:
+def _loky(address: str | None, workers: int) -> contextlib.AbstractContextManager[Any]:
     if address is not None:
         raise ProblemError("--address is for --backend dask or ray; loky runs on this machine.")
     return joblib.parallel_config("loky")
 
 
 @contextlib.contextmanager
-def _running_dask(address: str | None) -> Iterator[None]:
+def _running_dask(address: str | None, workers: int) -> Iterator[None]:
     from dask.distributed import Client, LocalCluster
 
     with contextlib.ExitStack() as stack:
         if address is None:
-            address = stack.enter_context(LocalCluster(threads_per_worker=1, dashboard_address=None)).scheduler_address
+            cluster = LocalCluster(workers, threads_per_worker=1, dashboard_address=None)
+            address = stack.enter_context(cluster).scheduler_address
         stack.enter_context(Client(address))
         _send_by_value()
         stack.enter_context(joblib.parallel_config("dask"))
         yield
 
 
-def _dask(address: str | None) -> contextlib.AbstractContextManager[Any]:
+def _dask(address: str | None, workers: int) -> contextlib.AbstractContextManager[Any]:
     import dask.distributed  # noqa: F401  (to fail here and not later)
 
-    return _running_dask(address)
+    return _running_dask(address, workers)
 
 
-def _ray(address: str | None) -> contextlib.AbstractContextManager[Any]:
+def _ray(address: str | None, workers: int) -> contextlib.AbstractContextManager[Any]:
     import ray
     from ray.util.joblib import register_ray
 
-    ray.init(address=address)
+    ray.init(address=address, num_cpus=workers if address is None else None)
     register_ray()
     _send_by_value()
     return joblib.parallel_config("ray")
