@@ -9,7 +9,7 @@ from kpirl_ocp.episodes import ArmTrack, KeypointTrack
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.evaluation import relative_distance
 from kpirl_ocp.irl.visual_control import Controller, Sight
-from kpirl_ocp.irl.visual_costs import PlanningCost, planning_problem
+from kpirl_ocp.irl.visual_costs import PlanningCost, planning_problem, without_joints
 from kpirl_ocp.irl.visual_demonstrations import (
     moving_keypoints,
     own_demonstration,
@@ -217,3 +217,15 @@ def test_demonstrations_of_different_lengths_are_refused():
     short, long = (Demonstration(np.zeros(10), GOAL, np.zeros((n + 1, 2 * K))) for n in (3, 4))
     with pytest.raises(ProblemError, match=r"one length, got T = \[3, 4\]"):
         learn_unrolled(DYNAMICS, [short, long], COSTS["Weighted"], INNER, 1, np.random.default_rng(0))
+
+
+def test_joints_without_influence_on_the_model_are_not_moved_by_any_plan():
+    held = without_joints(DYNAMICS, [0, 2])
+    s0, u = DYNAMICS.state(Z0, np.array([0.3, 0.2, 0.1])), np.array([0.0, 0.5, 0.0])
+    followed, original = (np.array(model.function(0)(s0, u, [])) for model in (held, DYNAMICS))
+    assert np.array_equal(followed, original)  # the other joint acts as before
+    for solver in (CONVERGED, INNER.solver):
+        cost = PlanningCost(np.ones((T, 2 * K)), np.full(T, 0.1), solver)
+        plan = solver.solve(planning_problem(held, T), s0, cost.psi, GOAL)
+        assert np.abs(plan.actions[:, [0, 2]]).max() < 1e-12
+        assert np.abs(plan.actions[:, 1]).max() > 1e-3
