@@ -104,7 +104,7 @@ def success(table: Mapping[str, Mapping[str, float]], threshold: str) -> Figure:
         axis.bar(
             places, [100 * row[name] for row in table.values()], 0.9 * width, color=(*COLOURS, GREY)[index], label=name
         )
-    axis.set_xticks(range(len(table)), list(table), fontsize=8)
+    axis.set_xticks(range(len(table)), [name.replace(", ", ",\n") for name in table], fontsize=8)
     axis.set(ylabel=f"success: {threshold} [%]", ylim=(0, 100))
     axis.grid(alpha=0.3, axis="y")
     axis.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
