@@ -12,7 +12,7 @@ from kpirl_ocp.irl.hypergradient import seen
 from kpirl_ocp.irl.loss import Loss, squared_distance
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.solver import Solver
-from kpirl_ocp.types import Array, Demonstration, Solution
+from kpirl_ocp.types import Array, Demonstration, Mask, Solution
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,12 @@ def evaluate(
     return Evaluation(solutions, np.array(losses), np.array(distances))
 
 
-def relative_distance(observations: Array, demonstration: Demonstration) -> float:
-    """|z_T - z_goal| / |z_0 - z_goal| of observations (T+1, n_z), z_goal the demonstration's end (appendix A.5)."""
-    goal = demonstration.observations[-1]
-    return float(np.linalg.norm(observations[-1] - goal) / np.linalg.norm(observations[0] - goal))
+def relative_distance(observations: Array, demonstration: Demonstration, coordinates: Mask | None = None) -> float:
+    """|z_T - z_goal| / |z_0 - z_goal| of observations (T+1, n_z), z_goal the demonstration's end (appendix A.5).
+
+    coordinates: (n_z,) those that count; all by default.
+    """
+    errors = observations - demonstration.observations[-1]
+    if coordinates is not None:
+        errors = errors[:, coordinates]
+    return float(np.linalg.norm(errors[-1]) / np.linalg.norm(errors[0]))

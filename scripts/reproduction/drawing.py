@@ -1,0 +1,111 @@
+"""The figures of the report; every function takes results and returns a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from kpirl_ocp.figures import COLOURS, GREY, bands, new_figure
+from kpirl_ocp.perception.keypoints import to_pixels
+from kpirl_ocp.types import Array
+from reproduction.placing import SIZE
+
+Runs = Mapping[str, Sequence[Array]]
+
+
+def curves(panels: Mapping[str, Runs], ylabel: str) -> Figure:
+    """Lines with bands over seeds, one panel per title."""
+    figure, axes = new_figure(1, len(panels), width=4.6)
+    for axis, (title, runs) in zip(axes, panels.items(), strict=True):
+        bands(axis, {name: values for name, values in runs.items() if len(values)})
+        axis.set(title=title, xlabel="outer iteration", ylabel=ylabel)
+        axis.legend(fontsize=7)
+    return figure
+
+
+def bars(panels: Mapping[str, Mapping[str, Mapping[str, Array]]], ylabel: str) -> Figure:
+    """Grouped bars, mean and standard deviation: panel -> group along the axis -> colour -> values over seeds."""
+    figure, axes = new_figure(1, len(panels), width=5.4)
+    for axis, (title, groups) in zip(axes, panels.items(), strict=True):
+        names = list(dict.fromkeys(name for colours in groups.values() for name in colours))
+        width = 0.8 / len(names)
+        for index, name in enumerate(names):
+            places = np.arange(len(groups)) + (index - (len(names) - 1) / 2) * width
+            values = [np.asarray(colours[name], float) for colours in groups.values()]
+            values = [v if len(v) else np.full(1, np.nan) for v in values]  # not learned: no bar
+            means, spreads = [v.mean() for v in values], [v.std() for v in values]
+            axis.bar(places, means, 0.9 * width, yerr=spreads, color=COLOURS[index], label=name, capsize=2)
+        axis.set_xticks(range(len(groups)), list(groups), fontsize=7, rotation=20, ha="right")
+        axis.set(title=title, ylabel=ylabel)
+        axis.grid(alpha=0.3, axis="y")
+        axis.legend(fontsize=7)
+    return figure
+
+
+def keypoint_weights(panels: Mapping[str, Sequence[Array]]) -> Figure:
+    """Weights (T, n_z) over seeds, averaged over time: bars per coordinate, in the keypoints' colours."""
+    figure, axes = new_figure(1, len(panels), width=3.4, height=2.8)
+    for axis, (title, runs) in zip(axes, panels.items(), strict=True):
+        values = np.array([run.mean(axis=0) for run in runs])
+        _weight_bars(axis, values, np.arange(values.shape[1]), 0.8, hatch=None)
+        axis.set(title=title, ylabel="weight")
+    return figure
+
+
+def early_and_late_weights(panels: Mapping[str, Sequence[Array]], steps: int) -> Figure:
+    """The same in the mean over the first `steps`, plain, and the last `steps`, hatched."""
+    figure, axes = new_figure(1, len(panels), width=4.2, height=2.8)
+    for axis, (title, runs) in zip(axes, panels.items(), strict=True):
+        for side, hatch in ((-1, None), (1, "////")):
+            values = np.array([(run[:steps] if side < 0 else run[-steps:]).mean(axis=0) for run in runs])
+            _weight_bars(axis, values, np.arange(values.shape[1]) + 0.2 * side, 0.38, hatch)
+        axis.set(title=f"{title}: first (plain), last {steps} steps", ylabel="weight")
+    return figure
+
+
+def _weight_bars(axis: Axes, values: Array, places: Array, width: float, hatch: str | None) -> None:
+    """Bars of (seeds, n_z), one colour per keypoint."""
+    colours = [COLOURS[i // 2] for i in range(values.shape[1])]
+    means, spreads = values.mean(axis=0), values.std(axis=0)
+    axis.bar(places, means, width, yerr=spreads, color=colours, hatch=hatch, edgecolor="white", linewidth=0, capsize=2)
+    axis.set_xticks(range(values.shape[1]), [f"{'xy'[i % 2]}{i // 2 + 1}" for i in range(values.shape[1])], fontsize=8)
+    axis.axhline(0.0, color="black", linewidth=0.6)
+    axis.grid(alpha=0.3, axis="y")
+
+
+def strips(columns: Mapping[str, tuple[Array, Array, Array]], times: Sequence[int]) -> Figure:
+    """Columns of images (3, H, W, 3) with detected keypoints (3, K, 3), filled, and goal ones (n_z,), hollow."""
+    figure = Figure(figsize=(1.9 * len(columns), 6.1), layout="constrained")
+    axes = figure.subplots(3, len(columns))
+    for column, (title, (images, keypoints, goal)) in enumerate(columns.items()):
+        for row, axis in enumerate(axes[:, column]):
+            axis.imshow(images[row], extent=(0, SIZE, SIZE, 0))
+            here, there = to_pixels(keypoints[row], SIZE), to_pixels(np.reshape(goal, (-1, 2)), SIZE)
+            for colour, (x, y), (goal_x, goal_y) in zip(COLOURS, here, there, strict=False):
+                axis.scatter(goal_x, goal_y, s=46, facecolors="none", edgecolors=colour, linewidths=1.3)
+                axis.scatter(x, y, s=15, color=colour)
+            axis.set(xticks=[], yticks=[], xlim=(0, SIZE), ylim=(SIZE, 0))
+        axes[0, column].set_title(title, fontsize=9)
+    for row, time in enumerate(times):
+        axes[row, 0].set_ylabel(f"t = {time}")
+    return figure
+
+
+def success(table: Mapping[str, Mapping[str, float]], threshold: str) -> Figure:
+    """Success rates: condition -> contender -> share."""
+    figure, (axis,) = new_figure(1, 1, width=9.0, height=3.4)
+    names = list(next(iter(table.values())))
+    width = 0.8 / len(names)
+    for index, name in enumerate(names):
+        places = np.arange(len(table)) + (index - (len(names) - 1) / 2) * width
+        axis.bar(
+            places, [100 * row[name] for row in table.values()], 0.9 * width, color=(*COLOURS, GREY)[index], label=name
+        )
+    axis.set_xticks(range(len(table)), [name.replace(", ", ",\n") for name in table], fontsize=8)
+    axis.set(ylabel=f"success: {threshold} [%]", ylim=(0, 100))
+    axis.grid(alpha=0.3, axis="y")
+    axis.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure

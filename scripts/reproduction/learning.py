@@ -1,0 +1,189 @@
+"""Learn a cost, by any of the methods, as one job; and the choice of the inner loop on validation demonstrations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kpirl_ocp.errors import CertificateError, ProblemError
+from kpirl_ocp.irl.evaluation import evaluate
+from kpirl_ocp.irl.visual_costs import PlanningCost, planning_problem
+from kpirl_ocp.irl.visual_learning import (
+    CONVERGED,
+    COSTS,
+    InnerLoop,
+    LearnedPlan,
+    horizon_of,
+    learn_by_apprenticeship,
+    learn_implicit,
+    learn_unrolled,
+)
+from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
+from kpirl_ocp.types import Demonstration
+from reproduction.data import Models
+from reproduction.sweep import Job, Result
+
+METHODS = (
+    "unrolled",
+    "unrolled, effort learned",
+    "implicit",
+    "implicit, effort learned",
+    "implicit, effort per step",
+    "apprenticeship",
+    "default",
+)
+
+
+def learn(
+    dynamics: NetworkDynamics,
+    demonstrations: Sequence[Demonstration],
+    cost: str,
+    method: str,
+    inner: InnerLoop,
+    iterations: int,
+    seed: int,
+) -> LearnedPlan:
+    """A cost of the family, learned by one of METHODS; "default" has nothing to learn."""
+    rng = np.random.default_rng(seed)
+    if method == "default":
+        planned = PlanningCost.default(horizon_of(demonstrations), dynamics.n_z, inner.solver)
+        return LearnedPlan(planned, np.array([_mean_loss(dynamics, planned, demonstrations)]), 0, 0.0)
+    if method == "apprenticeship":
+        return learn_by_apprenticeship(dynamics, demonstrations, inner, iterations, rng)
+    if method.startswith("unrolled"):
+        effort = "learned" if "effort" in method else None
+        return learn_unrolled(dynamics, demonstrations, COSTS[cost], inner, iterations, rng, effort=effort)
+    kinds = {
+        "implicit": "fixed",
+        "implicit, effort learned": "learned",
+        "implicit, effort per step": "learned per step",
+    }
+    return learn_implicit(dynamics, demonstrations, COSTS[cost], inner, iterations, rng, effort=kinds[method])
+
+
+def learn_or_fail(
+    dynamics: NetworkDynamics,
+    demonstrations: Sequence[Demonstration],
+    cost: str,
+    method: str,
+    inner: InnerLoop,
+    iterations: int,
+    seed: int,
+) -> Result:
+    """What a job returns of a learned cost (`unpacked` gives it back), or the "failure" that the report will name."""
+    try:
+        learned = learn(dynamics, demonstrations, cost, method, inner, iterations, seed)
+    except CertificateError as error:
+        return {"failure": str(error)}
+    return {
+        "failure": "",
+        "weights": learned.cost.weights,
+        "efforts": learned.cost.efforts,
+        "losses": learned.losses,
+        "best": learned.best,
+        "seconds": learned.seconds,
+        "converged": method.startswith("implicit"),
+    }
+
+
+def unpacked(result: Result, inner: InnerLoop) -> PlanningCost:
+    """The cost in the result of a job."""
+    solver = CONVERGED if result["converged"] else inner.solver
+    return PlanningCost(result["weights"], result["efforts"], solver)
+
+
+def choice_jobs(
+    task: str,
+    models: Models,
+    demonstrations: Sequence[Demonstration],
+    inner_loops: Sequence[InnerLoop],
+    iterations: int,
+) -> list[Job]:
+    """For every inner loop and cost: learn from the first validation demonstration, judge on the others."""
+    return [
+        Job(
+            f"choice/{task}-{inner.steps}-{inner.step_size:g}-{cost}",
+            try_inner_loop,
+            {
+                "task": task,
+                "models": models,
+                "demonstrations": list(demonstrations),
+                "inner": inner,
+                "cost": cost,
+                "iterations": iterations,
+            },
+        )
+        for inner in inner_loops
+        for cost in COSTS
+    ]
+
+
+def try_inner_loop(
+    task: str,
+    models: Models,
+    demonstrations: list[Demonstration],
+    inner: InnerLoop,
+    cost: str,
+    iterations: int,
+) -> Result:
+    """Validation loss and relative distance, one per demonstration learned from, and those of Default.
+
+    The loss is infinite where learning broke down.
+    """
+    dynamics = models.load_dynamics(task)
+    problem = planning_problem(dynamics, horizon_of(demonstrations))
+    default = PlanningCost.default(problem.horizon, dynamics.n_z, inner.solver)
+    plain = evaluate(problem, default.solver, default.psi, demonstrations)
+    found = []
+    for index, demonstration in enumerate(demonstrations):
+        others = demonstrations[:index] + demonstrations[index + 1 :]
+        try:
+            learned = learn(dynamics, [demonstration], cost, "unrolled", inner, iterations, seed=index)
+        except CertificateError:  # NaN: the steps are too long
+            found.append((np.inf, np.inf))
+            continue
+        judged = evaluate(problem, learned.cost.solver, learned.cost.psi, others)
+        found.append((judged.losses.mean(), judged.relative_distances.mean()))
+    losses, distances = np.array(found).T
+    return {
+        "validation": losses,
+        "distance": distances,
+        "default_loss": plain.losses.mean(),
+        "default_distance": plain.relative_distances.mean(),
+    }
+
+
+@dataclass(frozen=True)
+class Tried:
+    """An inner loop on validation demonstrations: IRL loss and relative distance in the mean over the costs."""
+
+    inner: InnerLoop
+    loss: float
+    distance: float
+    default_loss: float
+    default_distance: float
+
+
+def tried(results: dict[str, Result], task: str, inner_loops: Sequence[InnerLoop]) -> list[Tried]:
+    """What became of every candidate."""
+    found = []
+    for inner in inner_loops:
+        names = [f"choice/{task}-{inner.steps}-{inner.step_size:g}-{cost}" for cost in COSTS]
+        keys = ("validation", "distance", "default_loss", "default_distance")
+        found.append(Tried(inner, *(float(np.mean([results[name][key].mean() for name in names])) for key in keys)))
+    return found
+
+
+def choose(task: str, candidates: Sequence[Tried]) -> InnerLoop:
+    """The inner loop with the lowest validation loss of the learned costs."""
+    able = [candidate for candidate in candidates if np.isfinite(candidate.loss)]
+    if not able:
+        raise ProblemError(f"no inner loop can learn {task}: choose smaller steps.")
+    return min(able, key=lambda candidate: candidate.loss).inner
+
+
+def _mean_loss(dynamics: NetworkDynamics, cost: PlanningCost, demonstrations: Sequence[Demonstration]) -> float:
+    problem = planning_problem(dynamics, cost.horizon)
+    return float(evaluate(problem, cost.solver, cost.psi, demonstrations).losses.mean())

@@ -1,0 +1,151 @@
+"""All results of a run, and the questions that tables, figures and claims ask of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kpirl_ocp.irl.visual_learning import InnerLoop
+from kpirl_ocp.types import Array
+from reproduction import placing, reaching, robustness
+from reproduction.learning import Tried
+from reproduction.reaching import DEFAULT, Contender
+from reproduction.settings import COSTS, Preset
+from reproduction.sweep import Result
+
+UNROLLED = tuple(Contender(cost, "unrolled") for cost in COSTS)
+_UNSTABLE = 0.05  # share of iterations in which the loss rises
+APPRENTICE = Contender("Weighted", "apprenticeship")
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Settings and results by the names of jobs.
+
+    chosen: per task, the inner loop that was chosen. tried: per task, what became of every candidate.
+    """
+
+    preset: Preset
+    seeds: Sequence[int]
+    chosen: dict[str, InnerLoop]
+    tried: dict[str, list[Tried]]
+    results: dict[str, Result]
+
+    def reaching(self, contender: Contender, count: int, key: str) -> list[Array]:
+        """A result of experiment 1 from every seed in which the cost was learned."""
+        found = [self.results[reaching.name_of(contender, count, seed)] for seed in self.seeds]
+        return [result[key] for result in found if not result["failure"]]
+
+    def placing(self, contender: Contender, key: str) -> list[Array]:
+        """A result of learning in experiment 2 from every seed in which the cost was learned."""
+        found = [self.results[placing.name_of(contender, seed)] for seed in self.seeds]
+        return [result[key] for result in found if not result["failure"]]
+
+    def executed(self, contender: Contender, start: int, closed: bool, key: str) -> Array:
+        """A result of playing it, (seeds, ...); seeds in which the cost was not learned are left out."""
+        names = [placing.executed_name(contender, seed, start, closed) for seed in self.seeds]
+        return np.array([self.results[name][key] for name in names if name in self.results])
+
+    def failures(self) -> dict[str, str]:
+        """The costs that could not be learned, and why."""
+        return {name: str(found["failure"]) for name, found in self.results.items() if found.get("failure")}
+
+    @property
+    def robust_runs(self) -> dict[str, tuple[Contender, bool]]:
+        """The runs of the robustness study whose costs were all learned, by label."""
+        first = next(iter(robustness.CONDITIONS))
+        able = [run for run in robustness.RUNS if robustness.name(first, *run) in self.results]
+        return {robustness.label(*run): run for run in able}
+
+    def robust(self, condition: str, contender: Contender, closed: bool, key: str) -> Array:
+        """A result of the robustness study."""
+        return np.asarray(self.results[robustness.name(condition, contender, closed)][key])
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A finding of the paper, and whether it holds here."""
+
+    text: str
+    holds: bool
+    numbers: str
+
+
+def claims(outcome: Outcome) -> list[Claim]:
+    """The paper's findings, tested."""
+    found = []
+    for count in outcome.preset.demonstrations:
+        learned = {c.label: _mean(outcome.reaching(c, count, "distance")) for c in UNROLLED}
+        default = _mean(outcome.reaching(DEFAULT, count, "distance"))
+        baseline = _mean(outcome.reaching(APPRENTICE, count, "distance"))
+        found.append(
+            Claim(
+                f"Reaching, {count} demonstration(s): all learned costs end nearer to the goal than Default and "
+                "apprenticeship learning.",
+                max(learned.values()) < min(default, baseline),
+                f"{_list(learned)}; Default {default:.3f}, apprenticeship {baseline:.3f} (relative distance)",
+            )
+        )
+    most = max(outcome.preset.demonstrations)
+    found += [_y_is_small(outcome, contender, most) for contender in UNROLLED]
+    found.append(_unstable(outcome, most))
+    found += [_better_placing(outcome, start) for start in (1, 2)]
+    found += [_x_then_y(outcome, contender) for contender in UNROLLED if contender.cost != "Weighted"]
+    return found
+
+
+def restlessness(losses: Sequence[Array]) -> float:
+    """Share of outer iterations in which the training loss rose by more than 1 %."""
+    rises = [np.mean(np.diff(run) > 0.01 * run[:-1]) for run in losses if len(run) > 1]
+    return float(np.mean(rises)) if rises else 0.0
+
+
+def axis_weights(weights: Array) -> tuple[float, float]:
+    """Mean weight of x and of y coordinates in W (T, n_z)."""
+    return float(weights[:, 0::2].mean()), float(weights[:, 1::2].mean())
+
+
+def _y_is_small(outcome: Outcome, contender: Contender, count: int) -> Claim:
+    pairs = [axis_weights(weights) for weights in outcome.reaching(contender, count, "weights")]
+    x, y = np.mean(pairs, axis=0)
+    text = f"Reaching: {contender.label} gives y less weight than x."
+    return Claim(text, bool(abs(y) < x), f"x {x:.3g}, y {y:.3g} (mean weight)")
+
+
+def _unstable(outcome: Outcome, count: int) -> Claim:
+    baseline = restlessness(outcome.reaching(APPRENTICE, count, "losses"))
+    ours = {c.label: restlessness(outcome.reaching(c, count, "losses")) for c in UNROLLED}
+    text = "Reaching: apprenticeship learning is unstable, the gradient-based method is not."
+    numbers = f"training loss rises by > 1 % in {100 * baseline:.0f} % of iterations; ours " + ", ".join(
+        f"{name} {100 * share:.0f} %" for name, share in ours.items()
+    )
+    return Claim(text, baseline > max(_UNSTABLE, 2 * max(ours.values())), numbers)
+
+
+def _better_placing(outcome: Outcome, start: int) -> Claim:
+    errors = {c.label: _mean(outcome.executed(c, start, False, "squared")) for c in (*UNROLLED, DEFAULT)}
+    worst_timed = max(errors["TimeDep"], errors["RBF"])
+    factor = min(errors["Weighted"], errors["Default"]) / worst_timed
+    wanted = 3.0 if start == 1 else 1.0
+    text = f"Placing from start {start}: time-dependent costs beat Weighted and Default" + (
+        " by a factor of three or more." if start == 1 else "."
+    )
+    return Claim(text, factor >= wanted, f"{_list(errors)} px²; factor {factor:.2f}")
+
+
+def _x_then_y(outcome: Outcome, contender: Contender) -> Claim:
+    early = np.mean([axis_weights(weights[:5]) for weights in outcome.placing(contender, "weights")], axis=0)
+    late = np.mean([axis_weights(weights[-5:]) for weights in outcome.placing(contender, "weights")], axis=0)
+    text = f"Placing: {contender.label} stresses x early and y late."
+    numbers = f"first five steps x {early[0]:.3g}, y {early[1]:.3g}; last five x {late[0]:.3g}, y {late[1]:.3g}"
+    return Claim(text, bool(early[0] > early[1] and late[1] > late[0]), numbers)
+
+
+def _mean(values: Sequence[Array] | Array) -> float:
+    return float(np.mean(values))
+
+
+def _list(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.3g}" for name, value in values.items())

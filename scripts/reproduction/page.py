@@ -1,0 +1,77 @@
+"""One self-contained page: headings, text, tables, and figures as base64 PNGs."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from kpirl_ocp.episodes import replacing
+
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>
+body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }}
+table {{ border-collapse: collapse; margin: 1rem 0; font-size: 0.9rem; }}
+th, td {{ border-bottom: 1px solid #ccc; padding: 0.25rem 0.7rem; text-align: right; }}
+th:first-child, td:first-child {{ text-align: left; }}
+img {{ max-width: 100%; }} figure {{ margin: 1.5rem 0; }} figcaption, .note {{ color: #555; font-size: 0.9rem; }}
+pre {{ background: #f5f5f5; padding: 0.7rem; overflow-x: auto; font-size: 0.8rem; }}
+</style></head><body>
+<h1>{title}</h1>
+{body}
+</body></html>
+"""
+
+
+class Page:
+    """A report that grows from top to bottom; every call adds one element."""
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self._parts: list[str] = []
+
+    def heading(self, text: str, level: int = 2) -> None:
+        """A heading."""
+        self._parts.append(f"<h{level}>{html.escape(text)}</h{level}>")
+
+    def text(self, text: str) -> None:
+        """A paragraph."""
+        self._parts.append(f"<p>{html.escape(text)}</p>")
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[Any]], note: str = "") -> None:
+        """A table; numbers get four digits."""
+        lines = ["".join(f"<th>{html.escape(name)}</th>" for name in header)]
+        lines += ["".join(f"<td>{html.escape(_cell(value))}</td>" for value in row) for row in rows]
+        self._parts.append("<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>")
+        if note:
+            self._parts.append(f'<p class="note">{html.escape(note)}</p>')
+
+    def figure(self, figure: Figure, caption: str) -> None:
+        """A figure."""
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=110)
+        data = base64.b64encode(buffer.getvalue()).decode()
+        text = html.escape(caption)
+        self._parts.append(
+            f'<figure><img alt="{text}" src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
+        )
+
+    def listing(self, text: str) -> None:
+        """Text as it is."""
+        self._parts.append(f"<pre>{html.escape(text)}</pre>")
+
+    def write(self, path: Path) -> Path:
+        """The page on disk; it appears whole or not at all."""
+        with replacing(path) as file:
+            file.write(_PAGE.format(title=html.escape(self.title), body="\n".join(self._parts)).encode())
+        path.chmod(0o644)
+        return path
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,227 @@
+"""Experiment 2 (paper, section 5.2): a person places a bottle, and the robot learns what mattered from the video.
+
+Start 1 is near the person's start, start 2 nearer the goal. The goal is where the person's displacement takes the
+robot's keypoints from start 1; costs are learned at start 1 and used at both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.irl.visual_control import Controller, Execution
+from kpirl_ocp.irl.visual_demonstrations import positions, transferred_demonstration
+from kpirl_ocp.irl.visual_learning import InnerLoop
+from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
+from kpirl_ocp.perception.keypoints import to_pixels
+from kpirl_ocp.perception.plant import CameraPlant, Disturbance, in_plane
+from kpirl_ocp.perception.posture import UPRIGHT, carry
+from kpirl_ocp.perception.scene import Scene
+from kpirl_ocp.types import Array, Demonstration
+from reproduction.data import HandClip, Models
+from reproduction.learning import learn_or_fail, unpacked
+from reproduction.reaching import DEFAULT, EFFORT, IMPLICIT, Contender, iterations_of
+from reproduction.settings import COSTS, STARTS, Preset
+from reproduction.sweep import Job, Result
+
+RATE = 1  # [Hz] of the robot; the demonstration is read at 5 Hz, its ten steps are the plan's
+SIZE = 240  # of the images [pixels]
+SUCCESS = 8.0  # the middle of the bottle ends within this of its goal [pixels]; 8 are about 31 mm
+_SPREAD, _TILT = 0.015, 0.05  # how exactly the arm is put at its start, at most [m], [rad]
+_WAY_LEFT = 0.4  # of the way to the goal, at start 2
+CONTENDERS = (*(Contender(cost, "unrolled") for cost in COSTS), DEFAULT, *IMPLICIT, *EFFORT)
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What the robot faces.
+
+    joints: (2, 7) [rad] of the two starts. demonstration: the person's, moved to the robot at start 1.
+    goal_place: (2,) where the middle of the bottle should end [pixels], known to the simulation only.
+    """
+
+    joints: Array
+    demonstration: Demonstration
+    goal_place: Array
+
+
+def set_up(models: Models, clip: HandClip, seed: int) -> Setup:
+    """Put the arm at its starts and look once. A start beyond the arm's reach is moved along x into it."""
+    detector, dynamics = models.load_detector(), models.load_dynamics("placing")
+    rng = np.random.default_rng([seed, 7])
+    with Scene(rate=RATE) as scene:
+        goal = in_plane(scene.camera, clip.places[-1])
+        places = [in_plane(scene.camera, clip.places[0])]
+        places.append(goal + _WAY_LEFT * (places[0] - goal))
+        joints = [_posture(scene, place + rng.uniform(-_SPREAD, _SPREAD, 3), rng) for place in places]
+        scene.reset(joints[0])
+        plant = CameraPlant(scene, detector)
+        view = plant.look()
+    demonstration = transferred_demonstration(dynamics, clip.track, view.keypoints, joints[0])
+    return Setup(np.array(joints), demonstration, plant.places[0] + clip.places[-1] - clip.places[0])
+
+
+def _posture(scene: Scene, place: Array, rng: np.random.Generator) -> Array:
+    """Joints (7,) [rad] that hold the bottle at the place (3,) [m], or as little farther along x as the arm needs."""
+    pitch = UPRIGHT + rng.uniform(-_TILT, _TILT)
+    low, high = scene.joint_limits
+    for farther in np.arange(0.0, 0.3, 0.005):
+        try:
+            theta = carry(place[0] + farther, place[2], pitch)
+        except ProblemError:
+            continue
+        if ((theta >= low) & (theta <= high)).all():
+            return theta
+    raise ProblemError(f"the arm cannot hold the bottle at {place} m, nor farther along x.")
+
+
+def setups(models: Models, clips: Sequence[HandClip], seeds: Sequence[int]) -> dict[int, Setup]:
+    """One per seed; each seed has a demonstration of its own, as long as there are enough."""
+    return {seed: set_up(models, clips[seed % len(clips)], seed) for seed in seeds}
+
+
+def jobs(models: Models, found: dict[int, Setup], inner: InnerLoop, preset: Preset) -> list[Job]:
+    """One for every contender and seed."""
+    return [
+        Job(
+            name_of(contender, seed),
+            run,
+            {
+                "models": models,
+                "demonstration": setup.demonstration,
+                "contender": contender,
+                "inner": inner,
+                "iterations": iterations_of(contender, preset.placing_iterations, preset),
+                "seed": seed,
+            },
+        )
+        for seed, setup in found.items()
+        for contender in CONTENDERS
+    ]
+
+
+def name_of(contender: Contender, seed: int) -> str:
+    """Of the job."""
+    return f"placing/{contender.cost}-{contender.method.replace(', ', '-').replace(' ', '-')}-{seed}"
+
+
+def run(
+    models: Models,
+    demonstration: Demonstration,
+    contender: Contender,
+    inner: InnerLoop,
+    iterations: int,
+    seed: int,
+) -> Result:
+    """Learn from the one demonstration."""
+    dynamics = models.load_dynamics("placing")
+    return learn_or_fail(dynamics, [demonstration], contender.cost, contender.method, inner, iterations, seed)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What may go wrong. model_gain: the model's keypoints move this many times as far as they were trained to."""
+
+    disturbance: Disturbance = Disturbance()
+    model_gain: float = 1.0
+    confidence: float = 0.0
+
+
+def execution_jobs(models: Models, found: dict[int, Setup], learned: dict[str, Result], inner: InnerLoop) -> list[Job]:
+    """Every contender from both starts, in open and in closed loop."""
+    return [
+        Job(
+            executed_name(contender, seed, start, closed),
+            execute,
+            {
+                "models": models,
+                "learned": learned[name_of(contender, seed)],
+                "inner": inner,
+                "joints": setup.joints[start - 1],
+                "setup": setup,
+                "closed_loop": closed,
+            },
+        )
+        for seed, setup in found.items()
+        for contender in CONTENDERS
+        for start in STARTS
+        for closed in (False, True)
+        if not learned[name_of(contender, seed)]["failure"]
+    ]
+
+
+def executed_name(contender: Contender, seed: int, start: int, closed: bool) -> str:
+    """Of the job."""
+    loop = "closed" if closed else "open"
+    return f"placing-executed/{contender.label.replace(', ', '-').replace(' ', '-')}-{seed}-{start}-{loop}"
+
+
+def execute(
+    models: Models, learned: Result, inner: InnerLoop, joints: Array, setup: Setup, closed_loop: bool
+) -> Result:
+    """Play it from `joints` (7,) and keep what the camera saw at t = 0, 5 and 10."""
+    done, plant = play(models, learned, inner, joints, setup, closed_loop, Condition(), np.random.default_rng(0))
+    shown = [0, len(plant.images) // 2, len(plant.images) - 1]
+    return scores(done, plant, setup) | {
+        "images": np.array(plant.images)[shown],
+        "keypoints": done.keypoints[shown],
+        "goal": setup.demonstration.context,
+        "failed_plans": sum(not plan.status.ok for plan in done.plans),
+    }
+
+
+def play(
+    models: Models,
+    learned: Result,
+    inner: InnerLoop,
+    joints: Array,
+    setup: Setup,
+    closed_loop: bool,
+    condition: Condition,
+    rng: np.random.Generator,
+) -> tuple[Execution, CameraPlant]:
+    """Run a learned cost on the simulated arm."""
+    dynamics = _exaggerated(models.load_dynamics("placing"), condition.model_gain)
+    controller = Controller.build(dynamics, unpacked(learned, inner), closed_loop, condition.confidence)
+    with Scene(rate=RATE) as scene:
+        scene.reset(joints)
+        plant = CameraPlant(scene, models.load_detector(), condition.disturbance, rng)
+        return controller.run(plant, setup.demonstration.context), plant
+
+
+@lru_cache(maxsize=4)
+def _exaggerated(dynamics: NetworkDynamics, gain: float) -> NetworkDynamics:
+    """The model with keypoints that move `gain` times as far."""
+    zeros, ones = np.zeros(dynamics.mlp.n_in), np.ones(dynamics.mlp.n_in)
+    outputs = np.zeros(dynamics.n_z), np.full(dynamics.n_z, gain)
+    return replace(dynamics, mlp=dynamics.mlp.normalised(zeros, ones, *outputs))
+
+
+def scores(done: Execution, plant: CameraPlant, setup: Setup) -> Result:
+    """squared: mean over keypoints of the squared distance to the goal at the end [pixels^2].
+
+    bottle: distance of the bottle's middle from where it should be [pixels]. tracking_error: [rad].
+    """
+    goal = setup.demonstration.context
+    missed = (positions(done.keypoints[-1]) - goal) * SIZE / 2
+    return {
+        "squared": float(np.square(missed).reshape(-1, 2).sum(axis=1).mean()),
+        "bottle": float(np.linalg.norm(plant.places[-1] - setup.goal_place)),
+        "path": to_pixels(positions(done.keypoints).reshape(len(done.keypoints), -1, 2), SIZE),
+        "tracking_error": done.tracking_error,
+    }
+
+
+def shown(clips: Sequence[HandClip], seed: int) -> Result:
+    """The person's demonstration of a seed, for the image strips; its goal is where it ended."""
+    clip = clips[seed % len(clips)]
+    seen = clip.track.keypoints
+    return {
+        "images": clip.images,
+        "keypoints": seen[[0, len(seen) // 2, len(seen) - 1]],
+        "goal": positions(seen[-1]),
+    }

@@ -1,0 +1,160 @@
+"""Experiment 1 (paper, section 5.1): costs learned from the robot's own demonstrations of moving along x.
+
+Learned from the first demonstrations, judged on the last ones by where the plan ends, and by where the simulated arm
+ends when it plays the plan, or plans again after every look.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kpirl_ocp.episodes import ArmTrack
+from kpirl_ocp.irl.evaluation import evaluate, relative_distance
+from kpirl_ocp.irl.visual_control import Controller
+from kpirl_ocp.irl.visual_costs import planning_problem
+from kpirl_ocp.irl.visual_demonstrations import moving_keypoints, own_demonstration, positions
+from kpirl_ocp.irl.visual_learning import InnerLoop
+from kpirl_ocp.types import Demonstration, Mask
+from reproduction.data import Models
+from reproduction.learning import learn_or_fail, unpacked
+from reproduction.settings import COSTS, Preset
+from reproduction.sweep import Job, Result
+
+RATE = 5  # [Hz]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A cost family and a method to learn it."""
+
+    cost: str
+    method: str
+
+    @property
+    def label(self) -> str:
+        """As tables and figures name it."""
+        short = {"unrolled": self.cost, "apprenticeship": "Apprenticeship", "default": "Default"}
+        return short.get(self.method, f"{self.cost}, {self.method}")
+
+
+PAPER = (*(Contender(cost, "unrolled") for cost in COSTS), Contender("Weighted", "apprenticeship"))
+DEFAULT = Contender("Weighted", "default")
+IMPLICIT = tuple(Contender(cost, "implicit") for cost in COSTS)
+EFFORT = (
+    Contender("Weighted", "unrolled, effort learned"),
+    Contender("Weighted", "implicit, effort learned"),
+    Contender("Weighted", "implicit, effort per step"),
+)
+CONTENDERS = (*PAPER, DEFAULT, *IMPLICIT, *EFFORT)
+
+
+def iterations_of(contender: Contender, descent: int, preset: Preset) -> int:
+    """Outer iterations; `descent` for those that use Adam."""
+    if contender.method.startswith("implicit"):
+        return preset.implicit_iterations
+    return preset.baseline_iterations if contender.method == "apprenticeship" else descent
+
+
+def jobs(
+    models: Models, tracks: Sequence[ArmTrack], inner: InnerLoop, preset: Preset, seeds: Sequence[int]
+) -> list[Job]:
+    """One for every contender, number of demonstrations and seed."""
+    dynamics = models.load_dynamics("reaching")
+    demonstrations = [own_demonstration(dynamics, track) for track in tracks]
+    test = demonstrations[-preset.tests :]
+    pool = demonstrations[: -preset.tests]
+    found = []
+    for count in preset.demonstrations:
+        for seed in seeds:
+            first = seed % len(pool)
+            train = (pool[first:] + pool[:first])[:count]  # which one is learned from depends on the seed
+            for contender in CONTENDERS:
+                arguments = {
+                    "models": models,
+                    "train": train,
+                    "test": test,
+                    "moving": moving_keypoints(pool),
+                    "contender": contender,
+                    "inner": inner,
+                    "iterations": iterations_of(contender, preset.reaching_iterations, preset),
+                    "seed": seed,
+                }
+                found.append(Job(name_of(contender, count, seed), run, arguments))
+    return found
+
+
+def name_of(contender: Contender, count: int, seed: int) -> str:
+    """Of the job."""
+    return f"reaching/{contender.cost}-{contender.method.replace(', ', '-').replace(' ', '-')}-{count}-{seed}"
+
+
+def run(
+    models: Models,
+    train: list[Demonstration],
+    test: list[Demonstration],
+    moving: Mask,
+    contender: Contender,
+    inner: InnerLoop,
+    iterations: int,
+    seed: int,
+) -> Result:
+    """Learn, and plan for the test demonstrations: their IRL losses and relative distances (n_test,)."""
+    dynamics = models.load_dynamics("reaching")
+    learned = learn_or_fail(dynamics, train, contender.cost, contender.method, inner, iterations, seed)
+    if learned["failure"]:
+        return learned
+    cost = unpacked(learned, inner)
+    found = evaluate(planning_problem(dynamics, cost.horizon), cost.solver, cost.psi, test)
+    x_of_moving = np.stack([moving, np.zeros_like(moving)], axis=1).ravel()
+    planned = [plan.states[:, : dynamics.n_z] for plan in found.solutions]
+    pairs = list(zip(planned, test, strict=True))
+    return learned | {
+        "test": found.losses,
+        "distance": found.relative_distances,
+        "distance_x": np.array([relative_distance(z, demo, x_of_moving) for z, demo in pairs]),
+        "failed_plans": sum(not plan.status.ok for plan in found.solutions),
+    }
+
+
+def execution_jobs(
+    models: Models, tracks: Sequence[ArmTrack], learned: dict[str, Result], inner: InnerLoop, preset: Preset, seed: int
+) -> list[Job]:
+    """Play the paper's contenders, learned from the most demonstrations, on the simulated arm."""
+    count = max(preset.demonstrations)
+    return [
+        Job(
+            f"reaching-executed/{contender.label}-{'closed' if closed else 'open'}",
+            execute,
+            {
+                "models": models,
+                "tracks": list(tracks[-preset.tests :]),
+                "learned": learned[name_of(contender, count, seed)],
+                "inner": inner,
+                "closed_loop": closed,
+            },
+        )
+        for contender in (*PAPER, DEFAULT)
+        for closed in (False, True)
+        if not learned[name_of(contender, count, seed)]["failure"]
+    ]
+
+
+def execute(models: Models, tracks: list[ArmTrack], learned: Result, inner: InnerLoop, closed_loop: bool) -> Result:
+    """From the start of every test demonstration: relative distances (n_test,) as seen, and tracking errors [rad]."""
+    from kpirl_ocp.perception.plant import CameraPlant
+    from kpirl_ocp.perception.scene import Scene
+
+    dynamics, detector = models.load_dynamics("reaching"), models.load_detector()
+    controller = Controller.build(dynamics, unpacked(learned, inner), closed_loop)
+    distances, errors = [], []
+    with Scene(rate=RATE) as scene:
+        for track in tracks:
+            demonstration = own_demonstration(dynamics, track)
+            scene.reset(track.joints[0])
+            done = controller.run(CameraPlant(scene, detector), demonstration.context)
+            distances.append(relative_distance(positions(done.keypoints), demonstration))
+            errors.append(done.tracking_error)
+    return {"distance": np.array(distances), "tracking_error": np.array(errors)}
