@@ -125,8 +125,10 @@ class _Run:
     def _why_stuck(self) -> Status:
         if not all(np.isfinite(matrix).all() for matrix in self.at.matrices):
             return Status.NOT_FINITE
+        # Without bounds on states every rollout is feasible: then only this iterate is not.
         violation = self.at.residuals(self.solver.barrier).feasibility
-        return Status.INFEASIBLE if violation > self.tolerance**0.5 else Status.STALLED
+        infeasible = self.newton.problem.has_state_constraints and violation > self.tolerance**0.5
+        return Status.INFEASIBLE if infeasible else Status.STALLED
 
     @property
     def _solved(self) -> bool:
@@ -146,7 +148,7 @@ class _Run:
         """Lower tau when its own problem is solved (Waechter and Biegler, eq. 7)."""
         before, final = self.tau, self._final_tau
         while self.tau > final and self.at.residuals(self.tau).worst <= _SOLVED * self.tau / self.at.scale:
-            self.tau = max(final, min(0.2 * self.tau, self.tau**1.5))
+            self.tau = max(final, min(0.2 * self.tau, self.tau * self.tau**0.5))
         if self.tau != before:
             self.filter = Filter.starting_at(self.at.violation)
 
