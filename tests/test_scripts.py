@@ -23,6 +23,9 @@ TINY = {
 }
 
 
+TESTED_ELSEWHERE = {"collect_data.py", "train_keypoints.py", "train_dynamics.py", "reproduce_paper.py"}
+
+
 def call(script, *arguments):
     command = [sys.executable, str(ROOT / "scripts" / script), *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
@@ -41,7 +44,7 @@ def inputs(tmp_path_factory):
 
 
 def test_there_are_scripts_and_all_of_them_are_tested():
-    assert [script.name for script in SCRIPTS] == sorted(TINY)
+    assert {script.name for script in SCRIPTS} == TINY.keys() | TESTED_ELSEWHERE
 
 
 @pytest.mark.parametrize("script", TINY)

@@ -1,0 +1,325 @@
+"""Heatmaps and keypoints, the terms of the detector's loss, and its network: closed forms first."""
+
+import numpy as np
+import pytest
+import torch
+
+from kpirl_ocp.perception import detector_losses as losses
+from kpirl_ocp.perception.autoencoder import Encoded, KeypointAutoencoder
+from kpirl_ocp.perception.keypoints import centres, expectation, gaussian_maps, sharpened, spot, to_pixels
+
+torch.set_num_threads(1)
+
+CELLS = 15
+WIDTH = 0.1  # of separation and repulsion
+
+
+def close(actual, expected, atol=1e-6):
+    np.testing.assert_allclose(torch.as_tensor(actual).detach(), torch.as_tensor(expected).detach(), rtol=0, atol=atol)
+
+
+def scores_of(probability):
+    """Scores whose `spot` is proportional to a map that is nowhere negative."""
+    return torch.log(torch.as_tensor(probability))
+
+
+def scores_with_heat(heat):
+    """Scores whose softplus is `heat`."""
+    return torch.log(torch.expm1(torch.as_tensor(heat)))
+
+
+def peaks(*cells, size=CELLS):
+    """One map per (row, column), zero but for a one there."""
+    heat = torch.zeros(len(cells), size, size)
+    for k, (row, column) in enumerate(cells):
+        heat[k, row, column] = 1.0
+    return heat
+
+
+# Keypoints
+
+
+def test_the_image_reaches_from_minus_one_to_one():
+    close(to_pixels([[-1, -1], [0, 0], [1, 1], [0.5, -0.5]], 240), [[0, 0], [120, 120], [240, 240], [180, 60]])
+    close(to_pixels([[0.5, -0.5, 0.3]], 240), [[180, 60]])  # mu is no place
+
+
+def test_the_centre_of_a_cell_is_in_the_middle_of_its_pixels():
+    close(to_pixels(torch.stack([centres(60), centres(60)], -1), 240)[:, 0], 4 * np.arange(60) + 2.0, atol=1e-4)
+    close(centres(4), [-0.75, -0.25, 0.25, 0.75])
+
+
+@pytest.mark.parametrize(("row", "column"), [(0, 0), (3, 11), (14, 7)])
+def test_the_expectation_of_a_single_cell_is_its_centre(row, column):
+    x, y = (2 * column + 1) / CELLS - 1, (2 * row + 1) / CELLS - 1
+    for read in (expectation, sharpened):
+        close(read(scores_of(peaks((row, column)))), [[x, y, 1.0]])
+
+
+def test_a_spot_is_a_distribution_over_the_cells_that_no_constant_changes():
+    scores = torch.randn(2, 3, 4, 5, generator=torch.Generator().manual_seed(6))
+    close(spot(scores).sum((-2, -1)), torch.ones(2, 3))
+    close(spot(scores)[1, 2, 3, 4] / spot(scores)[1, 2, 0, 1], torch.exp(scores[1, 2, 3, 4] - scores[1, 2, 0, 1]))
+    close(spot(scores + 7.0), spot(scores))
+
+
+def test_the_expectation_of_two_equal_cells_is_half_way_and_of_a_uniform_map_the_middle():
+    heat = peaks((2, 4)) + peaks((6, 12))
+    close(expectation(scores_of(heat))[0, :2], expectation(scores_of(peaks((4, 8))))[0, :2])
+    close(expectation(torch.ones(1, CELLS, 9)), [[0.0, 0.0, 1.0]])
+
+
+def test_a_shift_of_the_heatmap_shifts_the_keypoints_by_the_same():
+    heat = torch.zeros(3, CELLS, CELLS)
+    heat[:, 3:8, 2:7] = torch.rand(3, 5, 5, generator=torch.Generator().manual_seed(0))
+    moved = torch.roll(heat, (4, 6), (1, 2))
+    for read in (expectation, sharpened):
+        close(read(scores_of(moved)) - read(scores_of(heat)), torch.tensor([6 * 2 / CELLS, 4 * 2 / CELLS, 0.0]).expand(3, 3))
+
+
+def test_mu_is_the_mean_heat_beside_the_largest():
+    heat = torch.stack([torch.full((8, 8), 0.5), torch.full((8, 8), 2.0), torch.full((8, 8), 1.0)])
+    for read in (expectation, sharpened):
+        close(read(scores_with_heat(heat))[:, 2], [0.25, 1.0, 0.5])
+
+
+def test_frames_of_a_batch_are_read_one_by_one():
+    heat = torch.rand(2, 3, 4, CELLS, CELLS, generator=torch.Generator().manual_seed(1))
+    for read in (expectation, sharpened):
+        close(read(heat)[1, 2], read(heat[1, 2]))
+
+
+def test_sharpened_ignores_a_weaker_peak_far_away_and_expectation_does_not():
+    heat = peaks((4, 4)) + 0.8 * peaks((12, 11))
+    close(sharpened(scores_of(heat))[0, :2], expectation(scores_of(peaks((4, 4))))[0, :2])
+    assert (expectation(scores_of(heat))[0, :2] - sharpened(scores_of(heat))[0, :2]).abs().min() > 0.3
+
+
+def test_sharpened_keeps_what_is_within_its_radius_also_at_the_edge():
+    heat = peaks((0, 0)) + 0.5 * peaks((2, 2)) + 0.5 * peaks((0, 3))
+    near = peaks((0, 0)) + 0.5 * peaks((2, 2))
+    close(sharpened(scores_of(heat))[0, :2], expectation(scores_of(near))[0, :2])
+    anything = torch.rand(2, CELLS, CELLS, generator=torch.Generator().manual_seed(2))
+    close(sharpened(anything, radius=CELLS), expectation(anything))
+
+
+def test_a_gaussian_map_has_height_mu_at_its_keypoint_and_falls_with_its_width():
+    x, y = float(centres(CELLS)[9]), float(centres(CELLS)[4])
+    maps = gaussian_maps(torch.tensor([[x, y, 0.7]]), CELLS, width=2.0)[0]
+    assert divmod(int(maps.argmax()), CELLS) == (4, 9)  # rows are y, columns are x
+    close(maps[4, [9, 11, 7]], 0.7 * np.exp([0.0, -0.5, -0.5]))
+    close(maps[8, 9], 0.7 * np.exp(-2.0))
+    close(maps[6, 11], 0.7 * np.exp(-1.0))
+
+
+def test_keypoints_survive_gaussian_maps_and_expectation():
+    rng = np.random.default_rng(3)
+    keypoints = torch.from_numpy(np.column_stack([rng.uniform(-0.2, 0.2, (5, 2)), [1, 0.9, 0.5, 0.2, 0.1]])).float()
+    maps = scores_of(gaussian_maps(keypoints, 25))
+    for places in (expectation(maps), sharpened(maps, radius=12)):
+        close(places[:, :2], keypoints[:, :2], 1e-5)
+
+
+# Losses
+
+
+def clip_of_paths(*paths):
+    """Keypoints (1, T, K, 3) that follow paths (T, 2)."""
+    positions = torch.as_tensor(np.stack(paths, 1), dtype=torch.float32)[None]
+    return torch.cat([positions, torch.ones(*positions.shape[:-1], 1)], -1)
+
+
+WAVE = np.column_stack([0.3 * np.sin(np.arange(8)), 0.3 * np.cos(np.arange(8))])
+STILL = np.zeros((8, 2))
+SWITCH = np.column_stack([0.1 * (-1.0) ** np.arange(8), np.zeros(8)])  # mean square 0.1^2 about its mean
+
+
+def test_separation_is_one_for_parallel_paths_wherever_they_are():
+    close(losses.separation(clip_of_paths(WAVE, WAVE + 0.5, WAVE - 0.2)), 1.0)
+
+
+def test_separation_of_two_paths_is_the_exponential_of_their_mean_squared_distance():
+    close(losses.separation(clip_of_paths(SWITCH, STILL)), np.exp(-(0.1**2) / (2 * WIDTH**2)))
+    close(losses.separation(clip_of_paths(SWITCH, -SWITCH)), np.exp(-(0.2**2) / (2 * WIDTH**2)))
+    assert losses.separation(clip_of_paths(5 * SWITCH, -5 * SWITCH)) < 1e-20
+
+
+def test_separation_is_the_mean_over_pairs_and_over_clips():
+    alike = np.exp(-(0.1**2) / (2 * WIDTH**2))
+    three = clip_of_paths(SWITCH, STILL, STILL)  # pairs: alike, alike, 1
+    close(losses.separation(three), (2 * alike + 1) / 3)
+    close(losses.separation(torch.cat([three, clip_of_paths(WAVE, WAVE, WAVE)])), ((2 * alike + 1) / 3 + 1) / 2)
+
+
+def test_repulsion_is_one_on_one_spot_and_falls_with_the_distance():
+    close(losses.repulsion(clip_of_paths(WAVE, WAVE, WAVE)), 1.0)
+    close(losses.repulsion(clip_of_paths(WAVE, WAVE + np.array([0.1, 0.0]))), np.exp(-0.5))
+    close(losses.repulsion(clip_of_paths(WAVE, WAVE + np.array([0.06, 0.08]), WAVE)), (2 * np.exp(-0.5) + 1) / 3)
+    assert losses.repulsion(clip_of_paths(WAVE, WAVE + 1.0)) < 1e-20
+
+
+def test_neither_separation_nor_repulsion_looks_at_mu():
+    keypoints = clip_of_paths(WAVE, SWITCH)
+    faint = keypoints * torch.tensor([1.0, 1.0, 0.1])
+    for term in (losses.separation, losses.repulsion):
+        close(term(faint), term(keypoints))
+
+
+@pytest.mark.parametrize("size", [16, 60, 64, 120])
+def test_reconstruction_of_an_even_error_is_the_same_for_every_image_size(size):
+    clips = torch.full((2, 3, 3, size, size), 0.5)
+    close(losses.reconstruction(clips, clips), 0.0)
+    close(losses.reconstruction(clips, clips + 0.1), 0.5 * 3 * 64**2 * 0.1**2, atol=1e-3)
+
+
+def test_reconstruction_is_half_the_squared_error_averaged_over_frames():
+    clips, painted = torch.zeros(2, 2, 3, 64, 64), torch.zeros(2, 2, 3, 64, 64)
+    painted[1, 0, 2, 5, 7] = 4.0
+    close(losses.reconstruction(clips, painted), 0.5 * 16 / 4)
+
+
+def test_sparsity_is_the_mean_heat():
+    heat = torch.stack([torch.ones(2, 3, 4, 4), 3 * torch.ones(2, 3, 4, 4)])
+    close(losses.sparsity(scores_with_heat(heat)), 2.0)
+
+
+def test_motion_is_how_much_a_frame_differs_from_the_usual_one_beside_the_largest_difference():
+    clips = torch.full((2, 5, 3, 16, 16), 0.3)
+    clips[0, 3, :, 4:8, 8:12] = 0.9  # a cell of a 4 x 4 grid
+    clips[0, 2, :, 12:14, 0:4] = 0.9  # half a cell
+    clips[0, 1, :, 0:2, 0:1] = 0.9  # an eighth of a cell
+    clips[0, 4, :, 0:2, 4:5] = -0.3  # as much the other way
+    expected = torch.zeros(2, 5, 4, 4)
+    expected[0, 3, 1, 2], expected[0, 2, 3, 0] = 1.0, 0.5
+    expected[0, 1, 0, 0] = expected[0, 4, 0, 1] = 0.125
+    close(losses.motion(clips, 4), expected)
+
+
+def test_attention_is_the_logarithm_of_the_share_of_mass_that_moves():
+    moving = torch.zeros(1, 1, 4, 4)
+    moving[0, 0, 1, :] = 1.0
+    on, off = (scores_of(peaks(cell, size=4))[None, None] for cell in ((1, 2), (3, 2)))
+    close(losses.attention(on, moving), -np.log(1e-3 + 1))
+    close(losses.attention(off, moving), -np.log(1e-3), atol=1e-5)
+    close(losses.attention(torch.ones(1, 1, 3, 4, 4), moving), -np.log(1e-3 + 1 / 4))
+    close(losses.attention(torch.cat([on, off], 2), moving), -0.5 * (np.log(1e-3 + 1) + np.log(1e-3)), atol=1e-5)
+
+
+def test_appearance_is_the_variance_of_the_colour_under_a_keypoint():
+    clips = torch.zeros(2, 1, 3, 16, 16)
+    clips[1, :, 0, :8], clips[:, :, 1, 8:] = 0.6, 0.9  # above: black in one clip and red in the other; below: green
+    above, below = (scores_of(peaks(cell, size=4)).expand(2, 1, 1, 4, 4) for cell in ((1, 2), (3, 2)))
+    close(losses.appearance(clips, below), 0.0)
+    close(losses.appearance(clips, above), 0.3**2)
+    close(losses.appearance(clips, torch.cat([above, below], 2)), 0.3**2 / 2)
+
+
+@pytest.mark.parametrize(("right", "down"), [(3, 0), (0, 2), (-4, 5)])
+def test_shifted_moves_pixels_right_and_down_by_half_a_side_per_unit(right, down):
+    frames = torch.rand(2, 3, 20, 20, generator=torch.Generator().manual_seed(4))
+    offset = torch.tensor([[2 * right / 20, 2 * down / 20], [0.0, 0.0]])
+    moved = losses.shifted(frames, offset)
+    rows = torch.arange(20).sub(down).clamp(0, 19)  # edges are continued
+    columns = torch.arange(20).sub(right).clamp(0, 19)
+    close(moved[0], frames[0][:, rows][:, :, columns], atol=1e-5)
+    close(moved[1], frames[1], atol=1e-5)
+
+
+def test_keypoints_of_shifted_heat_are_the_shifted_keypoints():
+    keypoints = torch.tensor([[-0.1, 0.2, 1.0], [0.15, 0.05, 1.0], [0.0, -0.2, 1.0]])
+    offset = torch.tensor([[0.237, -0.111]])
+    moved = expectation(scores_of(losses.shifted(gaussian_maps(keypoints, 40)[None], offset)))
+    close(moved[0, :, :2], keypoints[:, :2] + offset, atol=1e-4)
+    close(losses.equivariance(moved, keypoints[None], offset), 0.0, atol=1e-4)
+
+
+def test_equivariance_is_nothing_for_a_perfect_detector_and_the_shift_for_one_that_does_not_look():
+    keypoints = torch.tensor([[[0.1, 0.2, 1.0], [-0.3, 0.0, 0.5]]])
+    offset = torch.tensor([[0.2, -0.3]])
+    moved = keypoints + torch.tensor([0.2, -0.3, 0.0])
+    close(losses.equivariance(moved, keypoints, offset), 0.0)
+    close(losses.equivariance(keypoints, keypoints, offset), 0.25)
+
+
+def test_equivariance_does_not_ask_for_keypoints_outside_the_image():
+    keypoints = torch.tensor([[[0.9, 0.0, 1.0], [0.0, 0.0, 1.0]]])
+    offset = torch.tensor([[0.2, 0.0]])
+    close(losses.equivariance(keypoints, keypoints, offset), 0.2 / 4)  # of four numbers, only x of the second counts
+
+
+def test_equivariance_teaches_the_shifted_view_only():
+    keypoints = torch.zeros(1, 2, 3, requires_grad=True)
+    moved = torch.zeros(1, 2, 3, requires_grad=True)
+    losses.equivariance(moved, keypoints, torch.tensor([[0.2, 0.1]])).backward()
+    assert keypoints.grad is None
+    assert moved.grad[..., :2].abs().min() > 0
+
+
+# The network
+
+
+@pytest.fixture(params=["resnet", "plain"])
+def model(request):
+    torch.manual_seed(0)
+    return KeypointAutoencoder(24, keypoints=3, kind=request.param, filters=4)
+
+
+@pytest.fixture
+def clips():
+    return torch.rand(2, 5, 3, 24, 24, generator=torch.Generator().manual_seed(5))
+
+
+def test_a_map_of_scores_has_a_quarter_of_the_side_of_the_image(model, clips):
+    features, scores, keypoints = model.encode(clips[0])
+    assert features.shape == (5, 8, 6, 6)
+    assert scores.shape == (5, 3, 6, 6)
+    assert keypoints.shape == (5, 3, 3)
+    assert (keypoints[..., :2].abs() < 1).all()
+    close(keypoints[..., 2].amax(-1), torch.ones(5))
+    close(keypoints, expectation(scores))
+
+
+def test_the_forward_pass_encodes_each_frame_by_itself(model, clips):
+    painted, keypoints, scores = model(clips)
+    assert painted.shape == clips.shape
+    assert keypoints.shape == (2, 5, 3, 3)
+    assert scores.shape == (2, 5, 3, 6, 6)
+    close(keypoints[1, 3], model.encode(clips[1, 3:4]).keypoints[0], atol=1e-5)
+
+
+def test_the_decoder_predicts_a_change_of_the_first_frame(model, clips):
+    torch.nn.init.zeros_(model.decoder[-1].weight)
+    torch.nn.init.constant_(model.decoder[-1].bias, 0.25)
+    painted, _, _ = model(clips)
+    close(painted, clips[:, :1].expand_as(clips) + 0.25)
+
+
+def test_of_a_later_frame_the_decoder_sees_the_keypoints_only(model, clips):
+    encoded = Encoded(*(values.detach() for values in model.encode(clips[0])))
+    painted = []
+    for noise in (0.0, 1.0):  # on all that the encoder says of the later frames but their keypoints
+        later = torch.cat([torch.zeros(1), torch.full((4,), noise)])[:, None, None, None]
+        model.encode = lambda _, later=later: Encoded(encoded.features + later, encoded.scores + later, encoded.keypoints)
+        painted.append(model(clips[:1])[0])
+    assert torch.equal(*painted)
+
+
+def test_the_decoder_sees_all_keypoints_and_the_features_of_the_first_frame(model, clips):
+    encoded = Encoded(*(values.detach() for values in model.encode(clips[0])))
+    features, keypoints = encoded.features.requires_grad_(), encoded.keypoints.requires_grad_()
+    model.encode = lambda _: Encoded(features, encoded.scores, keypoints)
+    model(clips[:1])[0][0, 3].square().sum().backward()
+    assert [bool(features.grad[t].any()) for t in range(5)] == [True, False, False, False, False]
+    assert [bool(keypoints.grad[t].any()) for t in range(5)] == [True, False, False, True, False]
+
+
+def test_every_weight_takes_part_in_the_training(model, clips):
+    painted, keypoints, _ = model(clips)
+    (painted.square().sum() + keypoints.square().sum()).backward()
+    idle = [name for name, weight in model.named_parameters() if weight.grad is None or not weight.grad.any()]
+    assert idle == []
+
+
+def test_an_image_size_that_is_no_multiple_of_four_is_refused():
+    with pytest.raises(ValueError, match="multiple of 4, got 30"):
+        KeypointAutoencoder(30)

@@ -1,0 +1,172 @@
+"""The scripts of the perception, end to end with tiny numbers, as a user runs them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from safetensors.numpy import load_file
+
+from kpirl_ocp.perception.clips import recordings
+from kpirl_ocp.perception.detector import KeypointDetector
+from kpirl_ocp.perception.dynamics import DynamicsModel
+
+ROOT = Path(__file__).parents[1]
+
+
+def command(script, *arguments):
+    return [sys.executable, str(ROOT / "scripts" / script), *map(str, arguments)]
+
+
+def call(script, *arguments):
+    return subprocess.run(command(script, *arguments), capture_output=True, text=True, timeout=300, check=False)
+
+
+def succeed(script, *arguments):
+    result = call(script, *arguments)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def assert_is_figure(path):
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Clips for the detector, clips of a hand, and trajectories for the dynamics."""
+    base = tmp_path_factory.mktemp("data")
+    for motion, *arguments in (
+        ("keypoints", "--episodes", 2, "--frames", 6),
+        ("hand-wandering", "--episodes", 1, "--seconds", 1.0),
+        ("sines", "--episodes", 3, "--steps", 6),
+    ):
+        out = succeed("collect_data.py", motion, *arguments, "--jobs", 1, "--out", base / motion)
+        assert f"episodes: {base / motion}" in out
+    return base
+
+
+@pytest.fixture(scope="module")
+def trained(data):
+    """A detector and a dynamics model, with what the scripts printed."""
+    detector, dynamics = data / "detector", data / "dynamics"
+    tiny = ["--preset", "tiny", "--steps", 3, "--threads", 1]
+    clips = ["--data", data / "keypoints", "--videos", data / "hand-wandering", "--test", data / "keypoints"]
+    printed = succeed("train_keypoints.py", *clips, *tiny, "--out", detector)
+    model = ["--detector", detector / "detector.json", "--epochs", 2, "--ahead", 3]
+    tracks = ["--data", data / "sines", "--test", data / "sines"]
+    return {"detector": printed, "dynamics": succeed("train_dynamics.py", *model, *tracks, "--out", dynamics)}
+
+
+def metrics(directory):
+    def refuse(constant):
+        raise AssertionError(f"{constant} in {directory}")
+
+    found = json.loads((directory / "metrics.json").read_text(), parse_constant=refuse)
+    assert set(found) == {"settings", "versions", "results"}
+    return found["results"]
+
+
+def test_collected_data_are_read_back(data):
+    assert [len(clip.images) for clip in recordings(data / "keypoints")] == [6, 6]
+    assert [len(clip.images) for clip in recordings(data / "hand-wandering")] == [6]
+    assert json.loads((data / "sines" / "meta.json").read_text())["settings"]["steps"] == 6
+
+
+def test_training_keypoints_writes_a_detector_its_scores_and_pictures(data, trained):
+    out = data / "detector"
+    detector = KeypointDetector.load(out / "detector.json")
+    keypoints = detector.detect(recordings(data / "keypoints")[0].images)
+    assert keypoints.shape == (6, detector.model.head.out_channels, 3)
+    found = metrics(out)
+    assert found["steps"] == 3
+    assert len(found["scores"]["keypoints"]["error"]) == keypoints.shape[1]
+    for figure in ("contact_sheet.png", "curves.png"):
+        assert_is_figure(out / figure)
+        assert figure in trained["detector"]
+    assert (out / "tracks_keypoints.mp4").stat().st_size > 0
+    assert "detector.json" in trained["detector"]
+
+
+def test_training_again_goes_on_where_it_was(data, trained):
+    out = data / "detector"
+    before = load_file(out / "detector.safetensors")
+    clips = ["--data", data / "keypoints", "--videos", data / "hand-wandering"]
+    succeed("train_keypoints.py", *clips, "--preset", "tiny", "--steps", 3, "--threads", 1, "--out", out)
+    after = load_file(out / "detector.safetensors")
+    assert all((after[name] == value).all() for name, value in before.items())
+
+
+def test_training_dynamics_writes_a_model_and_its_scores_beside_persistence(data, trained):
+    out = data / "dynamics"
+    model, detector = DynamicsModel.load(out / "dynamics.json"), KeypointDetector.load(data / "detector/detector.json")
+    assert model.sizes == {
+        "keypoints": 2 * detector.model.head.out_channels,
+        "joints": 7,
+        "velocities": 7,
+        "actions": 7,
+    }
+    scores = metrics(out)["scores"]["sines"]
+    for name in ("model", "persistence"):
+        assert [len(row) for row in scores[name]] == 3 * [model.sizes["keypoints"]]
+    card = json.loads((out / "dynamics.json").read_text())
+    assert card["rate"] == pytest.approx(5.0)
+    assert card["training"]["trajectories"] == 3
+    assert_is_figure(out / "dynamics.png")
+    assert "nothing moves" in trained["dynamics"]
+
+
+def test_a_collection_that_was_killed_goes_on(tmp_path):
+    arguments = ("collect_data.py", "keypoints", "--episodes", 12, "--frames", 2, "--jobs", 2, "--out", tmp_path)
+    process = subprocess.Popen(
+        command(*arguments), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob("episode_*.npz")) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    os.killpg(process.pid, signal.SIGKILL)  # the workers as well
+    process.wait()
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("episode_*.npz")}
+    assert kept
+    succeed(*arguments)
+    assert len(recordings(tmp_path)) == 12
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+
+
+WRONG = {
+    "other settings": (["collect_data.py", "sines", "--episodes", 3, "--out", "{data}/keypoints"], "choose another"),
+    "no data": (["train_keypoints.py", "--data", "nowhere"], "nowhere/meta.json does not exist"),
+    "no detector": (
+        ["train_dynamics.py", "--detector", "{data}/dynamics/dynamics.json", "--data", "x", "--test", "x"],
+        "dynamics.json must be a kpirl_ocp.detector",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def failures(data, trained, tmp_path_factory):
+    """Exit code and lines on stderr of every wrong command."""
+    out = tmp_path_factory.mktemp("wrong")
+    found = {}
+    for name, (arguments, _) in WRONG.items():
+        filled = [str(argument).format(data=data) for argument in arguments]
+        result = call(*filled, *(() if "--out" in filled else ("--out", out / "x")))
+        found[name] = result.returncode, result.stderr.splitlines()
+    return found
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_input_is_one_readable_line(failures, name):
+    code, lines = failures[name]
+    (line,) = lines
+    assert code == 2
+    assert line.startswith("error: ")
+    assert WRONG[name][1] in line
+
+
+def test_an_error_is_all_that_is_on_stderr(failures):
+    assert {len(lines) for _, lines in failures.values()} == {1}

@@ -1,0 +1,73 @@
+"""The models that come with the package do on freshly rendered frames what their cards say."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from kpirl_ocp.assets import shipped_model
+from kpirl_ocp.ocp.network_files import load_dynamics
+from kpirl_ocp.perception.clips import detect_tracks, recordings
+from kpirl_ocp.perception.collect import collect
+from kpirl_ocp.perception.detector import KeypointDetector
+from kpirl_ocp.perception.detector_evaluation import score
+from kpirl_ocp.perception.dynamics import DynamicsModel
+from kpirl_ocp.perception.dynamics_training import score_dynamics
+from kpirl_ocp.perception.motions import HandPlacing, LastJoint, Placing, Sines
+
+SEED = 4321  # of no training or test data
+MOTIONS = {
+    "keypoints": (LastJoint(), 8),
+    "sines": (Sines(steps=30), 6),
+    "placing": (Placing(), 10),
+    "hand-placing": (HandPlacing(), 2),
+}
+
+
+@pytest.fixture(scope="module")
+def fresh(tmp_path_factory):
+    torch.set_num_threads(1)
+    base = tmp_path_factory.mktemp("fresh")
+    return {name: collect(base / name, motion, count, SEED) for name, (motion, count) in MOTIONS.items()}
+
+
+@pytest.fixture(scope="module")
+def detector():
+    return KeypointDetector.load(shipped_model("detector"))
+
+
+def card(name):
+    return json.loads(shipped_model(name).read_text())
+
+
+@pytest.mark.parametrize(("name", "bar"), [("keypoints", 4.0), ("sines", 6.0), ("placing", 6.0)])
+def test_the_detector_follows_the_bottle_as_its_card_says(fresh, detector, name, bar):
+    found = score(detector, recordings(fresh[name]))
+    assert found.error.mean() < bar
+    assert found.error.mean() < 1.5 * card("detector")["metrics"][name]["error"] + 0.5
+    assert found.on_object >= 3
+
+
+def test_the_detector_follows_the_bottle_in_a_hand(fresh, detector):
+    assert np.median(score(detector, recordings(fresh["hand-placing"])).displacement) < 10
+
+
+@pytest.mark.parametrize(("model", "data"), [("reaching", "sines"), ("placing", "placing")])
+def test_the_dynamics_predict_one_step_and_ten(fresh, detector, model, data):
+    found = score_dynamics(DynamicsModel.load(shipped_model(model)), detect_tracks(detector, fresh[data]))
+    one, ten = (values.mean(axis=1) for values in (found.model[[0, -1]], found.persistence[[0, -1]]))
+    assert one[0] < 0.03
+    assert one[1] < 0.5 * ten[1]
+
+
+@pytest.mark.parametrize("name", ["reaching", "placing"])
+def test_planning_reads_the_same_dynamics_without_torch(name):
+    trained, read = DynamicsModel.load(shipped_model(name)), load_dynamics(shipped_model(name))
+    rng = np.random.default_rng(0)
+    z, theta, velocity, u = rng.uniform(-0.5, 0.5, 8), rng.normal(size=7), 0.1 * rng.normal(size=7), rng.normal(size=7)
+    with torch.inference_mode():
+        expected = trained.double()(*(torch.from_numpy(value) for value in (z, theta, velocity, u))).numpy()
+    state = np.array(read.function(0)(np.concatenate([z, theta, velocity]), u, [])).ravel()
+    np.testing.assert_allclose(state[:8], expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(state[8:15], theta + u, rtol=0, atol=1e-15)
