@@ -51,12 +51,13 @@ def unrolled_function(
 
     skipped, taken = _segments(solver.steps - last), _segments(last)
     wide = {length: repeat(constants, length) for length in {*skipped, *taken}}
+    steps = {length: step.mapaccum(length) if length > 1 else step for length in wide}
     sweeps = {length: _segment_back(back, length) if length > 1 else back for length in set(taken)}
 
     iterate, walk = _regroup(u, problem.horizon), []
     for length in skipped + taken:
         start = iterate
-        iterate, values, record = _take(step, length, start, wide[length])
+        iterate, values, record = _take(steps[length], start, wide[length])
         walk.append((length, start, values, record))
     kinks = [_kink_distance(problem, solver, record[1], columns) for *_, record in walk]
 
@@ -66,7 +67,7 @@ def unrolled_function(
     by_theta: list[list[ca.MX]] = []
     for length, start, _, record in reversed(walk[len(skipped) :]):
         if checkpoint:
-            _, _, record = _take(step, length, start, wide[length])
+            _, _, record = _take(steps[length], start, wide[length])
         adjoint, by_psi, *share = sweeps[length](adjoint, *record, *wide[length][1:])
         gradient, by_theta = gradient + by_psi, [*by_theta, share]
     totals = (sum(shares[1:], shares[0]) for shares in zip(*by_theta, strict=True))
@@ -88,17 +89,15 @@ def _segments(steps: int) -> list[int]:
     return [length] * (steps // length) + ([steps % length] if steps % length else [])
 
 
-def _take(step: ca.Function, length: int, u: ca.MX, constants: Sequence[ca.MX]) -> tuple[ca.MX, ca.MX, list[ca.MX]]:
-    """U after `length` steps, their costs, and for every step the record that the way back needs.
+def _take(steps: ca.Function, u: ca.MX, constants: Sequence[ca.MX]) -> tuple[ca.MX, ca.MX, list[ca.MX]]:
+    """U after a segment, the costs on the way, and for every step the record that the way back needs.
 
     constants: s0, psi and theta, side by side for every step.
     """
-    iterates, values, *record = step.mapaccum(length)(u, *constants)
-    if length == 1:
-        return iterates, values, [u, *record]
+    iterates, values, *record = steps.call([u, *constants])
     width = u.size2()
-    before = ca.horzcat(u, iterates[:, : (length - 1) * width])
-    return iterates[:, (length - 1) * width :], values, [before, *record]
+    before = ca.horzcat(u, iterates[:, :-width]) if iterates.size2() > width else u
+    return iterates[:, -width:], values, [before, *record]
 
 
 def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns: int) -> ca.Function:
