@@ -9,6 +9,7 @@ export OPENBLAS_NUM_THREADS = 1
 SEED := 0
 MODELS := out/models
 COLLECT = $(BIN)/python scripts/collect_data.py
+DYNAMICS = $(BIN)/python scripts/train_dynamics.py --seed $(SEED) --detector $(MODELS)/detector/detector.json
 
 .PHONY: demo test study benchmark models clean
 
@@ -30,10 +31,11 @@ models: .venv/installed-perception
 	$(BIN)/python scripts/train_keypoints.py --preset full --seed $(SEED) --out $(MODELS)/detector \
 		--data $(MODELS)/data/keypoints --videos $(MODELS)/data/hand-wandering \
 		--test $(addprefix $(MODELS)/test/,keypoints sines placing hand-placing)
-	$(BIN)/python scripts/train_dynamics.py --detector $(MODELS)/detector/detector.json --seed $(SEED) \
-		--data $(MODELS)/data/sines --test $(MODELS)/test/sines --out $(MODELS)/reaching
-	$(BIN)/python scripts/train_dynamics.py --detector $(MODELS)/detector/detector.json --seed $(SEED) \
-		--data $(MODELS)/data/placing --test $(MODELS)/test/placing --out $(MODELS)/placing
+	for activation in relu tanh; do \
+		$(DYNAMICS) --activation $$activation --out $(MODELS)/reaching-$$activation \
+			--data $(MODELS)/data/sines --test $(MODELS)/test/sines || exit; \
+		$(DYNAMICS) --activation $$activation --out $(MODELS)/placing-$$activation \
+			--data $(MODELS)/data/placing --test $(MODELS)/test/placing || exit; done
 
 test: .venv/installed-test
 	$(BIN)/ruff check .

@@ -17,14 +17,19 @@ from kpirl_ocp.ocp.costs import RBF, Default, KeypointCost, TimeDependent, Weigh
 from kpirl_ocp.ocp.fatrop import Fatrop
 from kpirl_ocp.ocp.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.ipopt import Ipopt
-from kpirl_ocp.ocp.keypoint_planning import keypoint_ocp, keypoint_state
+from kpirl_ocp.ocp.keypoint_planning import keypoint_ocp, keypoint_state, network_ocp
 from kpirl_ocp.ocp.kinematics import Keypoint, Robot
+from kpirl_ocp.ocp.network import MLP
+from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.network_files import load_dynamics
+from kpirl_ocp.ocp.network_onnx import load_onnx
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.riccati import Riccati
 from kpirl_ocp.types import Demonstration, Solution, Status, Trajectory
 
 __all__ = [
     "LBFGS",
+    "MLP",
     "OCP",
     "RBF",
     "Adam",
@@ -38,6 +43,7 @@ __all__ = [
     "Ipopt",
     "Keypoint",
     "KeypointCost",
+    "NetworkDynamics",
     "Riccati",
     "Robot",
     "Solution",
@@ -52,4 +58,7 @@ __all__ = [
     "keypoint_ocp",
     "keypoint_state",
     "learn",
+    "load_dynamics",
+    "load_onnx",
+    "network_ocp",
 ]

@@ -254,8 +254,9 @@ def test_no_episode_or_no_process_is_refused_before_anything_is_written(tmp_path
 
 
 def test_a_negative_seed_is_refused(tmp_path):
-    with pytest.raises((EpisodeError, ProblemError), match="seed"):
+    with pytest.raises(EpisodeError, match="a seed >= 0, got 1, 1 and -1"):
         collect(tmp_path / "data", MOTION, 1, seed=-1)
+    assert not (tmp_path / "data").exists()
 
 
 @pytest.mark.parametrize(

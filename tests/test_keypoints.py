@@ -1,4 +1,4 @@
-"""Heatmaps and keypoints, the terms of the detector's loss, and its network: closed forms first."""
+"""Scores and keypoints, the terms of the detector's loss, and its network: closed forms first."""
 
 import numpy as np
 import pytest
@@ -26,6 +26,16 @@ def scores_of(probability):
 def scores_with_heat(heat):
     """Scores whose softplus is `heat`."""
     return torch.log(torch.expm1(torch.as_tensor(heat)))
+
+
+def scores(heat):
+    """Scores whose `spot` is heat (..., h, w) >= 0 divided by its sum, and whose softplus is log(1 + heat)."""
+    return heat.log()
+
+
+def with_softplus(heat):
+    """Scores whose softplus is heat > 0."""
+    return torch.as_tensor(heat).expm1().log()
 
 
 def peaks(*cells, size=CELLS):
@@ -69,12 +79,15 @@ def test_the_expectation_of_two_equal_cells_is_half_way_and_of_a_uniform_map_the
     close(expectation(torch.ones(1, CELLS, 9)), [[0.0, 0.0, 1.0]])
 
 
-def test_a_shift_of_the_heatmap_shifts_the_keypoints_by_the_same():
+def test_a_shift_of_the_scores_shifts_the_keypoints_by_the_same():
     heat = torch.zeros(3, CELLS, CELLS)
     heat[:, 3:8, 2:7] = torch.rand(3, 5, 5, generator=torch.Generator().manual_seed(0))
     moved = torch.roll(heat, (4, 6), (1, 2))
     for read in (expectation, sharpened):
-        close(read(scores_of(moved)) - read(scores_of(heat)), torch.tensor([6 * 2 / CELLS, 4 * 2 / CELLS, 0.0]).expand(3, 3))
+        close(
+            read(scores_of(moved)) - read(scores_of(heat)),
+            torch.tensor([6 * 2 / CELLS, 4 * 2 / CELLS, 0.0]).expand(3, 3),
+        )
 
 
 def test_mu_is_the_mean_heat_beside_the_largest():
@@ -84,9 +97,9 @@ def test_mu_is_the_mean_heat_beside_the_largest():
 
 
 def test_frames_of_a_batch_are_read_one_by_one():
-    heat = torch.rand(2, 3, 4, CELLS, CELLS, generator=torch.Generator().manual_seed(1))
-    for read in (expectation, sharpened):
-        close(read(heat)[1, 2], read(heat[1, 2]))
+    anything = torch.randn(2, 3, 4, CELLS, CELLS, generator=torch.Generator().manual_seed(1))
+    for read in (expectation, sharpened, spot):
+        close(read(anything)[1, 2], read(anything[1, 2]))
 
 
 def test_sharpened_ignores_a_weaker_peak_far_away_and_expectation_does_not():
@@ -202,6 +215,9 @@ def test_attention_is_the_logarithm_of_the_share_of_mass_that_moves():
     close(losses.attention(on, moving), -np.log(1e-3 + 1))
     close(losses.attention(off, moving), -np.log(1e-3), atol=1e-5)
     close(losses.attention(torch.ones(1, 1, 3, 4, 4), moving), -np.log(1e-3 + 1 / 4))
+    both = scores(peaks((1, 2), size=4) + 2 * peaks((3, 2), size=4))[None, None]
+    close(losses.attention(both, moving), -np.log(1e-3 + 1 / 3))
+    close(losses.attention(both, 0.3 * moving), -np.log(1e-3 + 0.1))
     close(losses.attention(torch.cat([on, off], 2), moving), -0.5 * (np.log(1e-3 + 1) + np.log(1e-3)), atol=1e-5)
 
 
@@ -299,7 +315,9 @@ def test_of_a_later_frame_the_decoder_sees_the_keypoints_only(model, clips):
     painted = []
     for noise in (0.0, 1.0):  # on all that the encoder says of the later frames but their keypoints
         later = torch.cat([torch.zeros(1), torch.full((4,), noise)])[:, None, None, None]
-        model.encode = lambda _, later=later: Encoded(encoded.features + later, encoded.scores + later, encoded.keypoints)
+        model.encode = lambda _, later=later: Encoded(
+            encoded.features + later, encoded.scores + later, encoded.keypoints
+        )
         painted.append(model(clips[:1])[0])
     assert torch.equal(*painted)
 

@@ -67,10 +67,17 @@ def on_mask(track: Array, mask: Mask) -> Mask:
 
     Gaps of a mask are closed first: a finger of the gripper, 6 pixels wide, lies across the bottle.
     """
-    mask = np.array([cv2.morphologyEx(image.astype(np.uint8), cv2.MORPH_CLOSE, _GAP) for image in mask], bool)
+    mask = np.array([_closed(image) for image in mask])
     size = np.array([mask.shape[2], mask.shape[1]])
     columns, rows = np.moveaxis(np.clip(np.floor(track), 0, size - 1).astype(int), -1, 0)
     return mask[np.arange(len(mask))[:, None], rows, columns]
+
+
+def _closed(mask: Mask) -> Mask:
+    """The mask (H, W) without gaps up to `_GAP`; a margin keeps it from growing to the edge of the image."""
+    margin = len(_GAP)
+    wide = np.pad(mask.astype(np.uint8), margin)
+    return np.asarray(cv2.morphologyEx(wide, cv2.MORPH_CLOSE, _GAP)[margin:-margin, margin:-margin], bool)
 
 
 def _residuals(tracks: Sequence[Array], places: Sequence[Array]) -> list[Array]:
