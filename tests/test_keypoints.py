@@ -28,16 +28,6 @@ def scores_with_heat(heat):
     return torch.log(torch.expm1(torch.as_tensor(heat)))
 
 
-def scores(heat):
-    """Scores whose `spot` is heat (..., h, w) >= 0 divided by its sum, and whose softplus is log(1 + heat)."""
-    return heat.log()
-
-
-def with_softplus(heat):
-    """Scores whose softplus is heat > 0."""
-    return torch.as_tensor(heat).expm1().log()
-
-
 def peaks(*cells, size=CELLS):
     """One map per (row, column), zero but for a one there."""
     heat = torch.zeros(len(cells), size, size)
@@ -73,6 +63,15 @@ def test_a_spot_is_a_distribution_over_the_cells_that_no_constant_changes():
     close(spot(scores + 7.0), spot(scores))
 
 
+def test_a_spot_is_the_share_of_each_cell_for_scores_of_any_size():
+    heat = torch.rand(2, 3, 5, 7, generator=torch.Generator().manual_seed(7))
+    close(spot(scores_of(heat)), heat / heat.sum((-2, -1), keepdim=True))
+    close(spot(torch.full((2, 5, 7), -8.0)), torch.full((2, 5, 7), 1 / 35))
+    close(spot(np.log(3) * peaks((1, 2), size=3)), (torch.ones(1, 3, 3) + 2 * peaks((1, 2), size=3)) / 11)
+    for constant in (-1e4, 1e4):
+        close(spot(1e4 * peaks((3, 5)) + constant), peaks((3, 5)))
+
+
 def test_the_expectation_of_two_equal_cells_is_half_way_and_of_a_uniform_map_the_middle():
     heat = peaks((2, 4)) + peaks((6, 12))
     close(expectation(scores_of(heat))[0, :2], expectation(scores_of(peaks((4, 8))))[0, :2])
@@ -94,6 +93,12 @@ def test_mu_is_the_mean_heat_beside_the_largest():
     heat = torch.stack([torch.full((8, 8), 0.5), torch.full((8, 8), 2.0), torch.full((8, 8), 1.0)])
     for read in (expectation, sharpened):
         close(read(scores_with_heat(heat))[:, 2], [0.25, 1.0, 0.5])
+    heat[0, :4], heat[0, 4:] = 0.2, 0.8  # uneven; its mean is still 0.5
+    alone = peaks((1, 1), (2, 2), size=8) * torch.tensor([1.0, 3.0])[:, None, None]
+    for read in (expectation, sharpened):
+        close(read(scores_with_heat(heat))[:, 2], [0.25, 1.0, 0.5])
+        close(read(scores_of(alone))[:, 2], [0.5, 1.0])  # log(1 + 1) / log(1 + 3)
+        close(read(torch.stack([torch.zeros(8, 8), torch.full((8, 8), 50.0)]))[:, 2], [np.log(2) / 50, 1.0])
 
 
 def test_frames_of_a_batch_are_read_one_by_one():
@@ -131,6 +136,9 @@ def test_keypoints_survive_gaussian_maps_and_expectation():
     maps = scores_of(gaussian_maps(keypoints, 25))
     for places in (expectation(maps), sharpened(maps, radius=12)):
         close(places[:, :2], keypoints[:, :2], 1e-5)
+    faint = maps + np.log(1e-5)  # log(1 + h) is h
+    for places in (expectation(faint), sharpened(faint, radius=12)):
+        close(places, keypoints, 1e-5)
 
 
 # Losses
@@ -194,6 +202,8 @@ def test_reconstruction_is_half_the_squared_error_averaged_over_frames():
 def test_sparsity_is_the_mean_heat():
     heat = torch.stack([torch.ones(2, 3, 4, 4), 3 * torch.ones(2, 3, 4, 4)])
     close(losses.sparsity(scores_with_heat(heat)), 2.0)
+    close(losses.sparsity(torch.zeros(2, 3, 2, 4, 4)), np.log(2))
+    close(losses.sparsity(scores_of(peaks((0, 1), (2, 3), size=4))[None]), np.log(2) / 16)
 
 
 def test_motion_is_how_much_a_frame_differs_from_the_usual_one_beside_the_largest_difference():
@@ -208,6 +218,20 @@ def test_motion_is_how_much_a_frame_differs_from_the_usual_one_beside_the_larges
     close(losses.motion(clips, 4), expected)
 
 
+def test_motion_is_linear_sums_colours_is_measured_clip_by_clip_and_does_not_enlarge_noise():
+    clips = torch.full((3, 5, 3, 8, 8), 0.5)
+    clips[0, 1, 0, :4, :4] = 0.6  # one colour
+    clips[0, 2, :, :4, 4:] = 0.6  # three colours, the largest change of this clip
+    clips[0, 3, 1, 4:, :4] = 0.35  # half of that, the other way
+    clips[1, 1, 0, :4, :4] = 0.5 + 2.5e-4
+    clips[2, 4, 2, 4:, 4:] = 0.52
+    expected = torch.zeros(3, 5, 2, 2)
+    expected[0, 1, 0, 0], expected[0, 2, 0, 1], expected[0, 3, 1, 0] = 1 / 3, 1.0, 1 / 2
+    expected[1, 1, 0, 0] = 1 / 4  # of 1e-3, the least change that is full
+    expected[2, 4, 1, 1] = 1.0
+    close(losses.motion(clips, 2), expected, atol=1e-3)
+
+
 def test_attention_is_the_logarithm_of_the_share_of_mass_that_moves():
     moving = torch.zeros(1, 1, 4, 4)
     moving[0, 0, 1, :] = 1.0
@@ -215,10 +239,11 @@ def test_attention_is_the_logarithm_of_the_share_of_mass_that_moves():
     close(losses.attention(on, moving), -np.log(1e-3 + 1))
     close(losses.attention(off, moving), -np.log(1e-3), atol=1e-5)
     close(losses.attention(torch.ones(1, 1, 3, 4, 4), moving), -np.log(1e-3 + 1 / 4))
-    both = scores(peaks((1, 2), size=4) + 2 * peaks((3, 2), size=4))[None, None]
+    both = scores_of(peaks((1, 2), size=4) + 2 * peaks((3, 2), size=4))[None, None]
     close(losses.attention(both, moving), -np.log(1e-3 + 1 / 3))
     close(losses.attention(both, 0.3 * moving), -np.log(1e-3 + 0.1))
     close(losses.attention(torch.cat([on, off], 2), moving), -0.5 * (np.log(1e-3 + 1) + np.log(1e-3)), atol=1e-5)
+    close(losses.attention(on + 7, moving), losses.attention(on, moving))
 
 
 def test_appearance_is_the_variance_of_the_colour_under_a_keypoint():
@@ -228,6 +253,33 @@ def test_appearance_is_the_variance_of_the_colour_under_a_keypoint():
     close(losses.appearance(clips, below), 0.0)
     close(losses.appearance(clips, above), 0.3**2)
     close(losses.appearance(clips, torch.cat([above, below], 2)), 0.3**2 / 2)
+
+
+RED, BLUE = torch.tensor([0.9, 0.1, 0.2]), torch.tensor([0.3, 0.0, 0.7])
+DIFFERENCE = 0.6**2 + 0.1**2 + 0.5**2  # squared
+
+
+@pytest.mark.parametrize("blue", [[], [(0, 0)], [(0, 0), (0, 1), (0, 2), (0, 3)], [(0, 1), (1, 1), (1, 3)]])
+def test_appearance_of_two_colours_is_the_variance_of_a_coin_over_frames_and_clips(blue):
+    clips = torch.rand(2, 4, 3, 16, 16, generator=torch.Generator().manual_seed(9))  # elsewhere: anything
+    clips[..., 4:8, 8:12] = RED[:, None, None]
+    for clip, frame in blue:
+        clips[clip, frame, :, 4:8, 8:12] = BLUE[:, None, None]
+    share = len(blue) / 8
+    where = scores_of(peaks((1, 2), size=4)).expand(2, 4, 1, 4, 4)
+    close(losses.appearance(clips, where), share * (1 - share) * DIFFERENCE)
+
+
+def test_appearance_sees_a_keypoint_that_leaves_for_another_colour_and_weighs_by_its_spot():
+    clips = RED[:, None, None].repeat(1, 3, 1, 8, 8)
+    clips[..., 4:] = BLUE[:, None, None]  # the right half
+    left, right = (scores_of(peaks(cell, size=4)) for cell in ((1, 1), (1, 2)))
+    between = scores_of(3 * peaks((1, 1), size=4) + peaks((1, 2), size=4))  # a quarter to the right
+    anything = torch.randn(1, 3, 2, 4, 4, generator=torch.Generator().manual_seed(10))
+    close(losses.appearance(clips, torch.stack([left, left, left])[None]), 0.0)
+    close(losses.appearance(clips, torch.stack([left, right, left])[None]), 2 / 9 * DIFFERENCE)
+    close(losses.appearance(clips, torch.stack([left, between, left])[None]), 2 / 9 * DIFFERENCE / 16)
+    close(losses.appearance(clips[..., :1].expand_as(clips), anything), 0.0)  # one colour everywhere
 
 
 @pytest.mark.parametrize(("right", "down"), [(3, 0), (0, 2), (-4, 5)])
