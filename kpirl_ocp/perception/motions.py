@@ -7,6 +7,7 @@ the image.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -68,7 +69,7 @@ class Motion(Protocol):
 
 
 @dataclass(frozen=True)
-class ArmMotion(_Checked):
+class ArmMotion(_Checked, ABC):
     """A motion of the robot, recorded with all that its encoders and camera see."""
 
     rate: int = setting(5, "frames per second, a divisor of 240")
@@ -77,9 +78,9 @@ class ArmMotion(_Checked):
         super().__post_init__()
         Scene(rate=self.rate)  # refuses a rate that it cannot keep
 
+    @abstractmethod
     def record(self, rng: np.random.Generator) -> ArmRecording:
         """Play and record one episode."""
-        raise NotImplementedError
 
     def write(self, path: Path, rng: np.random.Generator) -> None:
         """Play one episode and write it to `path`."""
