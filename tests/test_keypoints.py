@@ -14,7 +14,7 @@ CELLS = 15
 WIDTH = 0.1  # of separation and repulsion
 
 
-def close(actual, expected, atol=1e-6):
+def assert_close(actual, expected, atol=1e-6):
     np.testing.assert_allclose(torch.as_tensor(actual).detach(), torch.as_tensor(expected).detach(), rtol=0, atol=atol)
 
 
@@ -40,42 +40,44 @@ def peaks(*cells, size=CELLS):
 
 
 def test_the_image_reaches_from_minus_one_to_one():
-    close(to_pixels([[-1, -1], [0, 0], [1, 1], [0.5, -0.5]], 240), [[0, 0], [120, 120], [240, 240], [180, 60]])
-    close(to_pixels([[0.5, -0.5, 0.3]], 240), [[180, 60]])  # mu is no place
+    assert_close(to_pixels([[-1, -1], [0, 0], [1, 1], [0.5, -0.5]], 240), [[0, 0], [120, 120], [240, 240], [180, 60]])
+    assert_close(to_pixels([[0.5, -0.5, 0.3]], 240), [[180, 60]])  # mu is no place
 
 
 def test_the_centre_of_a_cell_is_in_the_middle_of_its_pixels():
-    close(to_pixels(torch.stack([centres(60), centres(60)], -1), 240)[:, 0], 4 * np.arange(60) + 2.0, atol=1e-4)
-    close(centres(4), [-0.75, -0.25, 0.25, 0.75])
+    assert_close(to_pixels(torch.stack([centres(60), centres(60)], -1), 240)[:, 0], 4 * np.arange(60) + 2.0, atol=1e-4)
+    assert_close(centres(4), [-0.75, -0.25, 0.25, 0.75])
 
 
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (3, 11), (14, 7)])
 def test_the_expectation_of_a_single_cell_is_its_centre(row, column):
     x, y = (2 * column + 1) / CELLS - 1, (2 * row + 1) / CELLS - 1
     for read in (expectation, sharpened):
-        close(read(scores_of(peaks((row, column)))), [[x, y, 1.0]])
+        assert_close(read(scores_of(peaks((row, column)))), [[x, y, 1.0]])
 
 
 def test_a_spot_is_a_distribution_over_the_cells_that_no_constant_changes():
     scores = torch.randn(2, 3, 4, 5, generator=torch.Generator().manual_seed(6))
-    close(spot(scores).sum((-2, -1)), torch.ones(2, 3))
-    close(spot(scores)[1, 2, 3, 4] / spot(scores)[1, 2, 0, 1], torch.exp(scores[1, 2, 3, 4] - scores[1, 2, 0, 1]))
-    close(spot(scores + 7.0), spot(scores))
+    assert_close(spot(scores).sum((-2, -1)), torch.ones(2, 3))
+    assert_close(
+        spot(scores)[1, 2, 3, 4] / spot(scores)[1, 2, 0, 1], torch.exp(scores[1, 2, 3, 4] - scores[1, 2, 0, 1])
+    )
+    assert_close(spot(scores + 7.0), spot(scores))
 
 
 def test_a_spot_is_the_share_of_each_cell_for_scores_of_any_size():
     heat = torch.rand(2, 3, 5, 7, generator=torch.Generator().manual_seed(7))
-    close(spot(scores_of(heat)), heat / heat.sum((-2, -1), keepdim=True))
-    close(spot(torch.full((2, 5, 7), -8.0)), torch.full((2, 5, 7), 1 / 35))
-    close(spot(np.log(3) * peaks((1, 2), size=3)), (torch.ones(1, 3, 3) + 2 * peaks((1, 2), size=3)) / 11)
+    assert_close(spot(scores_of(heat)), heat / heat.sum((-2, -1), keepdim=True))
+    assert_close(spot(torch.full((2, 5, 7), -8.0)), torch.full((2, 5, 7), 1 / 35))
+    assert_close(spot(np.log(3) * peaks((1, 2), size=3)), (torch.ones(1, 3, 3) + 2 * peaks((1, 2), size=3)) / 11)
     for constant in (-1e4, 1e4):
-        close(spot(1e4 * peaks((3, 5)) + constant), peaks((3, 5)))
+        assert_close(spot(1e4 * peaks((3, 5)) + constant), peaks((3, 5)))
 
 
 def test_the_expectation_of_two_equal_cells_is_half_way_and_of_a_uniform_map_the_middle():
     heat = peaks((2, 4)) + peaks((6, 12))
-    close(expectation(scores_of(heat))[0, :2], expectation(scores_of(peaks((4, 8))))[0, :2])
-    close(expectation(torch.ones(1, CELLS, 9)), [[0.0, 0.0, 1.0]])
+    assert_close(expectation(scores_of(heat))[0, :2], expectation(scores_of(peaks((4, 8))))[0, :2])
+    assert_close(expectation(torch.ones(1, CELLS, 9)), [[0.0, 0.0, 1.0]])
 
 
 def test_a_shift_of_the_scores_shifts_the_keypoints_by_the_same():
@@ -83,7 +85,7 @@ def test_a_shift_of_the_scores_shifts_the_keypoints_by_the_same():
     heat[:, 3:8, 2:7] = torch.rand(3, 5, 5, generator=torch.Generator().manual_seed(0))
     moved = torch.roll(heat, (4, 6), (1, 2))
     for read in (expectation, sharpened):
-        close(
+        assert_close(
             read(scores_of(moved)) - read(scores_of(heat)),
             torch.tensor([6 * 2 / CELLS, 4 * 2 / CELLS, 0.0]).expand(3, 3),
         )
@@ -92,42 +94,42 @@ def test_a_shift_of_the_scores_shifts_the_keypoints_by_the_same():
 def test_mu_is_the_mean_heat_beside_the_largest():
     heat = torch.stack([torch.full((8, 8), 0.5), torch.full((8, 8), 2.0), torch.full((8, 8), 1.0)])
     for read in (expectation, sharpened):
-        close(read(scores_with_heat(heat))[:, 2], [0.25, 1.0, 0.5])
+        assert_close(read(scores_with_heat(heat))[:, 2], [0.25, 1.0, 0.5])
     heat[0, :4], heat[0, 4:] = 0.2, 0.8  # uneven; its mean is still 0.5
     alone = peaks((1, 1), (2, 2), size=8) * torch.tensor([1.0, 3.0])[:, None, None]
     for read in (expectation, sharpened):
-        close(read(scores_with_heat(heat))[:, 2], [0.25, 1.0, 0.5])
-        close(read(scores_of(alone))[:, 2], [0.5, 1.0])  # log(1 + 1) / log(1 + 3)
-        close(read(torch.stack([torch.zeros(8, 8), torch.full((8, 8), 50.0)]))[:, 2], [np.log(2) / 50, 1.0])
+        assert_close(read(scores_with_heat(heat))[:, 2], [0.25, 1.0, 0.5])
+        assert_close(read(scores_of(alone))[:, 2], [0.5, 1.0])  # log(1 + 1) / log(1 + 3)
+        assert_close(read(torch.stack([torch.zeros(8, 8), torch.full((8, 8), 50.0)]))[:, 2], [np.log(2) / 50, 1.0])
 
 
 def test_frames_of_a_batch_are_read_one_by_one():
     anything = torch.randn(2, 3, 4, CELLS, CELLS, generator=torch.Generator().manual_seed(1))
     for read in (expectation, sharpened, spot):
-        close(read(anything)[1, 2], read(anything[1, 2]))
+        assert_close(read(anything)[1, 2], read(anything[1, 2]))
 
 
 def test_sharpened_ignores_a_weaker_peak_far_away_and_expectation_does_not():
     heat = peaks((4, 4)) + 0.8 * peaks((12, 11))
-    close(sharpened(scores_of(heat))[0, :2], expectation(scores_of(peaks((4, 4))))[0, :2])
+    assert_close(sharpened(scores_of(heat))[0, :2], expectation(scores_of(peaks((4, 4))))[0, :2])
     assert (expectation(scores_of(heat))[0, :2] - sharpened(scores_of(heat))[0, :2]).abs().min() > 0.3
 
 
 def test_sharpened_keeps_what_is_within_its_radius_also_at_the_edge():
     heat = peaks((0, 0)) + 0.5 * peaks((2, 2)) + 0.5 * peaks((0, 3))
     near = peaks((0, 0)) + 0.5 * peaks((2, 2))
-    close(sharpened(scores_of(heat))[0, :2], expectation(scores_of(near))[0, :2])
+    assert_close(sharpened(scores_of(heat))[0, :2], expectation(scores_of(near))[0, :2])
     anything = torch.rand(2, CELLS, CELLS, generator=torch.Generator().manual_seed(2))
-    close(sharpened(anything, radius=CELLS), expectation(anything))
+    assert_close(sharpened(anything, radius=CELLS), expectation(anything))
 
 
 def test_a_gaussian_map_has_height_mu_at_its_keypoint_and_falls_with_its_width():
     x, y = float(centres(CELLS)[9]), float(centres(CELLS)[4])
     maps = gaussian_maps(torch.tensor([[x, y, 0.7]]), CELLS, width=2.0)[0]
     assert divmod(int(maps.argmax()), CELLS) == (4, 9)  # rows are y, columns are x
-    close(maps[4, [9, 11, 7]], 0.7 * np.exp([0.0, -0.5, -0.5]))
-    close(maps[8, 9], 0.7 * np.exp(-2.0))
-    close(maps[6, 11], 0.7 * np.exp(-1.0))
+    assert_close(maps[4, [9, 11, 7]], 0.7 * np.exp([0.0, -0.5, -0.5]))
+    assert_close(maps[8, 9], 0.7 * np.exp(-2.0))
+    assert_close(maps[6, 11], 0.7 * np.exp(-1.0))
 
 
 def test_keypoints_survive_gaussian_maps_and_expectation():
@@ -135,10 +137,10 @@ def test_keypoints_survive_gaussian_maps_and_expectation():
     keypoints = torch.from_numpy(np.column_stack([rng.uniform(-0.2, 0.2, (5, 2)), [1, 0.9, 0.5, 0.2, 0.1]])).float()
     maps = scores_of(gaussian_maps(keypoints, 25))
     for places in (expectation(maps), sharpened(maps, radius=12)):
-        close(places[:, :2], keypoints[:, :2], 1e-5)
+        assert_close(places[:, :2], keypoints[:, :2], 1e-5)
     faint = maps + np.log(1e-5)  # log(1 + h) is h
     for places in (expectation(faint), sharpened(faint, radius=12)):
-        close(places, keypoints, 1e-5)
+        assert_close(places, keypoints, 1e-5)
 
 
 # Losses
@@ -156,26 +158,26 @@ SWITCH = np.column_stack([0.1 * (-1.0) ** np.arange(8), np.zeros(8)])  # mean sq
 
 
 def test_separation_is_one_for_parallel_paths_wherever_they_are():
-    close(losses.separation(clip_of_paths(WAVE, WAVE + 0.5, WAVE - 0.2)), 1.0)
+    assert_close(losses.separation(clip_of_paths(WAVE, WAVE + 0.5, WAVE - 0.2)), 1.0)
 
 
 def test_separation_of_two_paths_is_the_exponential_of_their_mean_squared_distance():
-    close(losses.separation(clip_of_paths(SWITCH, STILL)), np.exp(-(0.1**2) / (2 * WIDTH**2)))
-    close(losses.separation(clip_of_paths(SWITCH, -SWITCH)), np.exp(-(0.2**2) / (2 * WIDTH**2)))
+    assert_close(losses.separation(clip_of_paths(SWITCH, STILL)), np.exp(-(0.1**2) / (2 * WIDTH**2)))
+    assert_close(losses.separation(clip_of_paths(SWITCH, -SWITCH)), np.exp(-(0.2**2) / (2 * WIDTH**2)))
     assert losses.separation(clip_of_paths(5 * SWITCH, -5 * SWITCH)) < 1e-20
 
 
 def test_separation_is_the_mean_over_pairs_and_over_clips():
     alike = np.exp(-(0.1**2) / (2 * WIDTH**2))
     three = clip_of_paths(SWITCH, STILL, STILL)  # pairs: alike, alike, 1
-    close(losses.separation(three), (2 * alike + 1) / 3)
-    close(losses.separation(torch.cat([three, clip_of_paths(WAVE, WAVE, WAVE)])), ((2 * alike + 1) / 3 + 1) / 2)
+    assert_close(losses.separation(three), (2 * alike + 1) / 3)
+    assert_close(losses.separation(torch.cat([three, clip_of_paths(WAVE, WAVE, WAVE)])), ((2 * alike + 1) / 3 + 1) / 2)
 
 
 def test_repulsion_is_one_on_one_spot_and_falls_with_the_distance():
-    close(losses.repulsion(clip_of_paths(WAVE, WAVE, WAVE)), 1.0)
-    close(losses.repulsion(clip_of_paths(WAVE, WAVE + np.array([0.1, 0.0]))), np.exp(-0.5))
-    close(losses.repulsion(clip_of_paths(WAVE, WAVE + np.array([0.06, 0.08]), WAVE)), (2 * np.exp(-0.5) + 1) / 3)
+    assert_close(losses.repulsion(clip_of_paths(WAVE, WAVE, WAVE)), 1.0)
+    assert_close(losses.repulsion(clip_of_paths(WAVE, WAVE + np.array([0.1, 0.0]))), np.exp(-0.5))
+    assert_close(losses.repulsion(clip_of_paths(WAVE, WAVE + np.array([0.06, 0.08]), WAVE)), (2 * np.exp(-0.5) + 1) / 3)
     assert losses.repulsion(clip_of_paths(WAVE, WAVE + 1.0)) < 1e-20
 
 
@@ -183,27 +185,27 @@ def test_neither_separation_nor_repulsion_looks_at_mu():
     keypoints = clip_of_paths(WAVE, SWITCH)
     faint = keypoints * torch.tensor([1.0, 1.0, 0.1])
     for term in (losses.separation, losses.repulsion):
-        close(term(faint), term(keypoints))
+        assert_close(term(faint), term(keypoints))
 
 
 @pytest.mark.parametrize("size", [16, 60, 64, 120])
 def test_reconstruction_of_an_even_error_is_the_same_for_every_image_size(size):
     clips = torch.full((2, 3, 3, size, size), 0.5)
-    close(losses.reconstruction(clips, clips), 0.0)
-    close(losses.reconstruction(clips, clips + 0.1), 0.5 * 3 * 64**2 * 0.1**2, atol=1e-3)
+    assert_close(losses.reconstruction(clips, clips), 0.0)
+    assert_close(losses.reconstruction(clips, clips + 0.1), 0.5 * 3 * 64**2 * 0.1**2, atol=1e-3)
 
 
 def test_reconstruction_is_half_the_squared_error_averaged_over_frames():
     clips, painted = torch.zeros(2, 2, 3, 64, 64), torch.zeros(2, 2, 3, 64, 64)
     painted[1, 0, 2, 5, 7] = 4.0
-    close(losses.reconstruction(clips, painted), 0.5 * 16 / 4)
+    assert_close(losses.reconstruction(clips, painted), 0.5 * 16 / 4)
 
 
 def test_sparsity_is_the_mean_heat():
     heat = torch.stack([torch.ones(2, 3, 4, 4), 3 * torch.ones(2, 3, 4, 4)])
-    close(losses.sparsity(scores_with_heat(heat)), 2.0)
-    close(losses.sparsity(torch.zeros(2, 3, 2, 4, 4)), np.log(2))
-    close(losses.sparsity(scores_of(peaks((0, 1), (2, 3), size=4))[None]), np.log(2) / 16)
+    assert_close(losses.sparsity(scores_with_heat(heat)), 2.0)
+    assert_close(losses.sparsity(torch.zeros(2, 3, 2, 4, 4)), np.log(2))
+    assert_close(losses.sparsity(scores_of(peaks((0, 1), (2, 3), size=4))[None]), np.log(2) / 16)
 
 
 def test_motion_is_how_much_a_frame_differs_from_the_usual_one_beside_the_largest_difference():
@@ -215,7 +217,7 @@ def test_motion_is_how_much_a_frame_differs_from_the_usual_one_beside_the_larges
     expected = torch.zeros(2, 5, 4, 4)
     expected[0, 3, 1, 2], expected[0, 2, 3, 0] = 1.0, 0.5
     expected[0, 1, 0, 0] = expected[0, 4, 0, 1] = 0.125
-    close(losses.motion(clips, 4), expected)
+    assert_close(losses.motion(clips, 4), expected)
 
 
 def test_motion_is_linear_sums_colours_is_measured_clip_by_clip_and_does_not_enlarge_noise():
@@ -229,30 +231,30 @@ def test_motion_is_linear_sums_colours_is_measured_clip_by_clip_and_does_not_enl
     expected[0, 1, 0, 0], expected[0, 2, 0, 1], expected[0, 3, 1, 0] = 1 / 3, 1.0, 1 / 2
     expected[1, 1, 0, 0] = 1 / 4  # of 1e-3, the least change that is full
     expected[2, 4, 1, 1] = 1.0
-    close(losses.motion(clips, 2), expected, atol=1e-3)
+    assert_close(losses.motion(clips, 2), expected, atol=1e-3)
 
 
 def test_attention_is_the_logarithm_of_the_share_of_mass_that_moves():
     moving = torch.zeros(1, 1, 4, 4)
     moving[0, 0, 1, :] = 1.0
     on, off = (scores_of(peaks(cell, size=4))[None, None] for cell in ((1, 2), (3, 2)))
-    close(losses.attention(on, moving), -np.log(1e-3 + 1))
-    close(losses.attention(off, moving), -np.log(1e-3), atol=1e-5)
-    close(losses.attention(torch.ones(1, 1, 3, 4, 4), moving), -np.log(1e-3 + 1 / 4))
+    assert_close(losses.attention(on, moving), -np.log(1e-3 + 1))
+    assert_close(losses.attention(off, moving), -np.log(1e-3), atol=1e-5)
+    assert_close(losses.attention(torch.ones(1, 1, 3, 4, 4), moving), -np.log(1e-3 + 1 / 4))
     both = scores_of(peaks((1, 2), size=4) + 2 * peaks((3, 2), size=4))[None, None]
-    close(losses.attention(both, moving), -np.log(1e-3 + 1 / 3))
-    close(losses.attention(both, 0.3 * moving), -np.log(1e-3 + 0.1))
-    close(losses.attention(torch.cat([on, off], 2), moving), -0.5 * (np.log(1e-3 + 1) + np.log(1e-3)), atol=1e-5)
-    close(losses.attention(on + 7, moving), losses.attention(on, moving))
+    assert_close(losses.attention(both, moving), -np.log(1e-3 + 1 / 3))
+    assert_close(losses.attention(both, 0.3 * moving), -np.log(1e-3 + 0.1))
+    assert_close(losses.attention(torch.cat([on, off], 2), moving), -0.5 * (np.log(1e-3 + 1) + np.log(1e-3)), atol=1e-5)
+    assert_close(losses.attention(on + 7, moving), losses.attention(on, moving))
 
 
 def test_appearance_is_the_variance_of_the_colour_under_a_keypoint():
     clips = torch.zeros(2, 1, 3, 16, 16)
     clips[1, :, 0, :8], clips[:, :, 1, 8:] = 0.6, 0.9  # above: black in one clip and red in the other; below: green
     above, below = (scores_of(peaks(cell, size=4)).expand(2, 1, 1, 4, 4) for cell in ((1, 2), (3, 2)))
-    close(losses.appearance(clips, below), 0.0)
-    close(losses.appearance(clips, above), 0.3**2)
-    close(losses.appearance(clips, torch.cat([above, below], 2)), 0.3**2 / 2)
+    assert_close(losses.appearance(clips, below), 0.0)
+    assert_close(losses.appearance(clips, above), 0.3**2)
+    assert_close(losses.appearance(clips, torch.cat([above, below], 2)), 0.3**2 / 2)
 
 
 RED, BLUE = torch.tensor([0.9, 0.1, 0.2]), torch.tensor([0.3, 0.0, 0.7])
@@ -267,7 +269,7 @@ def test_appearance_of_two_colours_is_the_variance_of_a_coin_over_frames_and_cli
         clips[clip, frame, :, 4:8, 8:12] = BLUE[:, None, None]
     share = len(blue) / 8
     where = scores_of(peaks((1, 2), size=4)).expand(2, 4, 1, 4, 4)
-    close(losses.appearance(clips, where), share * (1 - share) * DIFFERENCE)
+    assert_close(losses.appearance(clips, where), share * (1 - share) * DIFFERENCE)
 
 
 def test_appearance_sees_a_keypoint_that_leaves_for_another_colour_and_weighs_by_its_spot():
@@ -276,10 +278,10 @@ def test_appearance_sees_a_keypoint_that_leaves_for_another_colour_and_weighs_by
     left, right = (scores_of(peaks(cell, size=4)) for cell in ((1, 1), (1, 2)))
     between = scores_of(3 * peaks((1, 1), size=4) + peaks((1, 2), size=4))  # a quarter to the right
     anything = torch.randn(1, 3, 2, 4, 4, generator=torch.Generator().manual_seed(10))
-    close(losses.appearance(clips, torch.stack([left, left, left])[None]), 0.0)
-    close(losses.appearance(clips, torch.stack([left, right, left])[None]), 2 / 9 * DIFFERENCE)
-    close(losses.appearance(clips, torch.stack([left, between, left])[None]), 2 / 9 * DIFFERENCE / 16)
-    close(losses.appearance(clips[..., :1].expand_as(clips), anything), 0.0)  # one colour everywhere
+    assert_close(losses.appearance(clips, torch.stack([left, left, left])[None]), 0.0)
+    assert_close(losses.appearance(clips, torch.stack([left, right, left])[None]), 2 / 9 * DIFFERENCE)
+    assert_close(losses.appearance(clips, torch.stack([left, between, left])[None]), 2 / 9 * DIFFERENCE / 16)
+    assert_close(losses.appearance(clips[..., :1].expand_as(clips), anything), 0.0)  # one colour everywhere
 
 
 @pytest.mark.parametrize(("right", "down"), [(3, 0), (0, 2), (-4, 5)])
@@ -289,30 +291,32 @@ def test_shifted_moves_pixels_right_and_down_by_half_a_side_per_unit(right, down
     moved = losses.shifted(frames, offset)
     rows = torch.arange(20).sub(down).clamp(0, 19)  # edges are continued
     columns = torch.arange(20).sub(right).clamp(0, 19)
-    close(moved[0], frames[0][:, rows][:, :, columns], atol=1e-5)
-    close(moved[1], frames[1], atol=1e-5)
+    assert_close(moved[0], frames[0][:, rows][:, :, columns], atol=1e-5)
+    assert_close(moved[1], frames[1], atol=1e-5)
 
 
 def test_keypoints_of_shifted_heat_are_the_shifted_keypoints():
     keypoints = torch.tensor([[-0.1, 0.2, 1.0], [0.15, 0.05, 1.0], [0.0, -0.2, 1.0]])
     offset = torch.tensor([[0.237, -0.111]])
     moved = expectation(scores_of(losses.shifted(gaussian_maps(keypoints, 40)[None], offset)))
-    close(moved[0, :, :2], keypoints[:, :2] + offset, atol=1e-4)
-    close(losses.equivariance(moved, keypoints[None], offset), 0.0, atol=1e-4)
+    assert_close(moved[0, :, :2], keypoints[:, :2] + offset, atol=1e-4)
+    assert_close(losses.equivariance(moved, keypoints[None], offset), 0.0, atol=1e-4)
 
 
 def test_equivariance_is_nothing_for_a_perfect_detector_and_the_shift_for_one_that_does_not_look():
     keypoints = torch.tensor([[[0.1, 0.2, 1.0], [-0.3, 0.0, 0.5]]])
     offset = torch.tensor([[0.2, -0.3]])
     moved = keypoints + torch.tensor([0.2, -0.3, 0.0])
-    close(losses.equivariance(moved, keypoints, offset), 0.0)
-    close(losses.equivariance(keypoints, keypoints, offset), 0.25)
+    assert_close(losses.equivariance(moved, keypoints, offset), 0.0)
+    assert_close(losses.equivariance(keypoints, keypoints, offset), 0.25)
 
 
 def test_equivariance_does_not_ask_for_keypoints_outside_the_image():
     keypoints = torch.tensor([[[0.9, 0.0, 1.0], [0.0, 0.0, 1.0]]])
     offset = torch.tensor([[0.2, 0.0]])
-    close(losses.equivariance(keypoints, keypoints, offset), 0.2 / 4)  # of four numbers, only x of the second counts
+    assert_close(
+        losses.equivariance(keypoints, keypoints, offset), 0.2 / 4
+    )  # of four numbers, only x of the second counts
 
 
 def test_equivariance_teaches_the_shifted_view_only():
@@ -343,8 +347,8 @@ def test_a_map_of_scores_has_a_quarter_of_the_side_of_the_image(model, clips):
     assert scores.shape == (5, 3, 6, 6)
     assert keypoints.shape == (5, 3, 3)
     assert (keypoints[..., :2].abs() < 1).all()
-    close(keypoints[..., 2].amax(-1), torch.ones(5))
-    close(keypoints, expectation(scores))
+    assert_close(keypoints[..., 2].amax(-1), torch.ones(5))
+    assert_close(keypoints, expectation(scores))
 
 
 def test_the_forward_pass_encodes_each_frame_by_itself(model, clips):
@@ -352,14 +356,14 @@ def test_the_forward_pass_encodes_each_frame_by_itself(model, clips):
     assert painted.shape == clips.shape
     assert keypoints.shape == (2, 5, 3, 3)
     assert scores.shape == (2, 5, 3, 6, 6)
-    close(keypoints[1, 3], model.encode(clips[1, 3:4]).keypoints[0], atol=1e-5)
+    assert_close(keypoints[1, 3], model.encode(clips[1, 3:4]).keypoints[0], atol=1e-5)
 
 
 def test_the_decoder_predicts_a_change_of_the_first_frame(model, clips):
     torch.nn.init.zeros_(model.decoder[-1].weight)
     torch.nn.init.constant_(model.decoder[-1].bias, 0.25)
     painted, _, _ = model(clips)
-    close(painted, clips[:, :1].expand_as(clips) + 0.25)
+    assert_close(painted, clips[:, :1].expand_as(clips) + 0.25)
 
 
 def test_of_a_later_frame_the_decoder_sees_the_keypoints_only(model, clips):

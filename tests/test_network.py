@@ -38,7 +38,7 @@ def scalar_functions(activation):
     return lambda points: [np.array(f(x)[k]).item() for x in points for k in range(3)]
 
 
-def agree(found, expected, tolerance):
+def assert_agree(found, expected, tolerance):
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(np.array(one), np.array(other), rtol=0, atol=tolerance)
 
@@ -138,7 +138,7 @@ def test_hand_arranged_derivatives_are_those_of_ad(activation, output_activation
     rng = np.random.default_rng(1)
     for _ in range(5):
         values = both(*[rng.normal(size=n) for n in (9, 9, 4, 4)])
-        agree(values[:5], values[5:], 2e-14)
+        assert_agree(values[:5], values[5:], 2e-14)
 
 
 @every_activation
@@ -161,7 +161,7 @@ def test_columns_are_independent_points(activation):
     both = ca.Function("both", [x, dx, lam, dlam], together + [ca.horzcat(*columns) for columns in apart])
     rng = np.random.default_rng(2)
     values = both(*[rng.normal(size=(n, 3)) for n in (9, 9, 4, 4)])
-    agree(values[: len(together)], values[len(together) :], 1e-15)
+    assert_agree(values[: len(together)], values[len(together) :], 1e-15)
 
 
 @pytest.mark.parametrize("activation", PIECEWISE_LINEAR)
@@ -226,7 +226,7 @@ def test_derivatives_of_the_dynamics_are_those_of_ad(activation, residual):
         ds, du, lam = (rng.normal(size=n) for n in (8, 2, 8))
         for name, extra in [("jvp", [ds, du]), ("vjp", [lam]), ("jacobian", []), ("hessian", [lam])]:
             found, expected = (getattr(d, name).call([*point, *extra]) for d in (by_hand, by_ad))
-            agree([m.full() for m in found], [m.full() for m in expected], 2e-14)
+            assert_agree([m.full() for m in found], [m.full() for m in expected], 2e-14)
 
 
 def test_a_state_of_another_shape_is_refused():

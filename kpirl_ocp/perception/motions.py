@@ -179,31 +179,46 @@ class Reaching(ArmMotion):
 
 
 @dataclass(frozen=True)
-class HandPlacing(_Checked):
-    """Demonstrations of placing (5.2): a hand puts the bottle on the shelf; a lossless video beside the truth."""
+class HandMotion(_Checked, ABC):
+    """A motion of a hand that holds the bottle: a lossless video beside the truth."""
 
-    episodes: ClassVar[int] = 12
     rate: int = setting(int(RATE), "frames per second")
-    seconds: float = setting(2.0, "length of the demonstration", 0.1)
+    seconds: float = setting(2.0, "length of the clip", 0.1)
     tremor: float = setting(1e-3, "standard deviation of the hand's wander [m]", 0.0)
 
-    def write(self, path: Path, rng: np.random.Generator) -> None:
-        """Film one demonstration: the truth to `path`, the video beside it."""
-        _film(path, placing_path(rng, seconds=self.seconds, rate=self.rate, tremor=self.tremor), self.rate)
-
-
-@dataclass(frozen=True)
-class HandWandering(_Checked):
-    """Clips for the detector: a hand carries the bottle about; a lossless video beside the truth."""
-
-    episodes: ClassVar[int] = 24
-    rate: int = setting(int(RATE), "frames per second")
-    seconds: float = setting(4.0, "length of the clip", 0.1)
-    tremor: float = setting(1e-3, "standard deviation of the hand's wander [m]", 0.0)
+    @abstractmethod
+    def path(self, rng: np.random.Generator) -> Array:
+        """Where the bottle is carried (n, 3) [m]."""
 
     def write(self, path: Path, rng: np.random.Generator) -> None:
         """Film one clip: the truth to `path`, the video beside it."""
-        _film(path, wandering_path(rng, seconds=self.seconds, rate=self.rate, tremor=self.tremor), self.rate)
+        with HandScene() as scene:
+            frames = [scene.look(position) for position in self.path(rng)]
+        write_video(path.with_suffix(".avi"), np.array([frame.rgb for frame in frames]), self.rate)
+        write_episode(path, Truth(**Truth.columns(frames, self.rate)))
+
+
+@dataclass(frozen=True)
+class HandPlacing(HandMotion):
+    """Demonstrations of placing (5.2): a hand puts the bottle on the shelf; a lossless video beside the truth."""
+
+    episodes: ClassVar[int] = 12
+
+    def path(self, rng: np.random.Generator) -> Array:
+        """Along x, then down."""
+        return placing_path(rng, seconds=self.seconds, rate=self.rate, tremor=self.tremor)
+
+
+@dataclass(frozen=True)
+class HandWandering(HandMotion):
+    """Clips for the detector: a hand carries the bottle about; a lossless video beside the truth."""
+
+    episodes: ClassVar[int] = 24
+    seconds: float = setting(4.0, "length of the clip", 0.1)
+
+    def path(self, rng: np.random.Generator) -> Array:
+        """To a new place every second."""
+        return wandering_path(rng, seconds=self.seconds, rate=self.rate, tremor=self.tremor)
 
 
 MOTIONS: Mapping[str, type[Motion]] = {
@@ -256,14 +271,6 @@ def _position(scene: Scene, theta: Array) -> Array:
     """Where the bottle is (3,) [m] with the arm at theta (7,) [rad]."""
     scene.reset(theta)
     return scene.link_pose(BOTTLE)[1]
-
-
-def _film(path: Path, positions: Array, rate: int) -> None:
-    """Film a hand that carries the bottle along positions (n, 3) [m]."""
-    with HandScene() as scene:
-        frames = [scene.look(position) for position in positions]
-    write_video(path.with_suffix(".avi"), np.array([frame.rgb for frame in frames]), rate)
-    write_episode(path, Truth(**Truth.columns(frames, rate)))
 
 
 def _follow(scene: Scene, reference: Array, noise: Array | None = None) -> ArmRecording:
