@@ -1,4 +1,4 @@
-"""The unrolled hypergradient in torch, float64: `autograd.grad(create_graph=True)` through all steps, as in `higher`."""
+"""The unrolled hypergradient in torch, float64: `create_graph=True` through all steps, as `higher` does it."""
 
 from __future__ import annotations
 
