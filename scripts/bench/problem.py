@@ -77,7 +77,8 @@ class Data:
     def bounded(self) -> OCP:
         """With effort, so that there is an optimum, bounds on the actions and joint limits."""
         theta = self.s0[:, N_Z : N_Z + N_Q]
-        room = 5.3 * self.reach  # no whole number of steps, so that a joint limit and action bounds are independent
+        # No whole number of steps, so that a joint limit and the action bounds on the way to it are independent.
+        room = (self.horizon // 2 + 0.3) * self.reach
         limits = theta.min(axis=0) - room, theta.max(axis=0) + room
         cost = KeypointCost(TimeDependent(), effort=self.effort)
         return network_ocp(self.model, cost, self.horizon, joint_limits=limits, max_displacement=self.reach)
@@ -101,10 +102,10 @@ def random_network(
 def trained_network(horizon: int, steps: int, count: int = 1, seed: int = 0) -> Data:
     """The placing model that comes with the package, from starts within its training data."""
     model, rng = without_joints(load_dynamics(shipped_model("placing")), _HELD), np.random.default_rng(seed)
-    moves = np.ones(N_Q)
+    moves = np.full(N_Q, 0.4)
     moves[list(_HELD)] = 0
     z = np.tile([0.08, -0.2], N_Z // 2) + rng.uniform(-0.1, 0.1, (count, N_Z))
-    theta = [0.0, 0.26, 0.0, -1.75, 0.0, -0.42, 0.0] + moves * rng.uniform(-0.15, 0.15, (count, N_Q))
+    theta = [0.0, 0.26, 0.0, -1.75, 0.0, -0.42, 0.0] + moves * rng.uniform(-0.4, 0.4, (count, N_Q))
     return _reaching(f"trained, {model.mlp.activations[0]}", model, z, theta, moves, horizon, steps, 1e-4, rng)
 
 
@@ -119,7 +120,10 @@ def _reaching(
     step_size: float,
     rng: np.random.Generator,
 ) -> Data:
-    """Demonstrations are motions of the model itself, every joint at its own steady speed, and goals their ends."""
+    """Demonstrations are motions of the model itself, every joint at its own steady speed, and goals their ends.
+
+    moves: (n_joints,) how far each joint may get [rad].
+    """
     s0 = np.hstack([z, theta, np.zeros_like(theta)])
     speeds = moves * rng.uniform(-1, 1, theta.shape) / horizon
     psi = rng.uniform(0.5, 1.5, (horizon, N_Z))
@@ -129,7 +133,7 @@ def _reaching(
     ]
     observed = np.array([motion.states[:, :N_Z] for motion in motions])
     alpha = step_size * min(1.0, 25 / horizon) ** 2
-    effort, reach = 1e-3 / alpha, 1.5 / horizon
+    effort, reach = 1e-3 / alpha, float(moves.max()) / horizon  # the fastest demonstrated speed
     return Data(name, model, s0, observed[:, -1], observed, psi, steps, alpha, effort, reach)
 
 
