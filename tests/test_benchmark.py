@@ -143,7 +143,7 @@ def test_a_ceiling_is_within_what_a_core_can_do(bench):
 
 def test_contenders_take_turns_until_each_has_spent_its_budget(bench, monkeypatch):
     timing, log = bench("timing"), []
-    monkeypatch.setattr(timing, "seconds", lambda call: call())
+    monkeypatch.setattr(timing, "seconds", lambda call: (call(), 0.0))
     times = {"quick": 0.006, "slow": 1.0}
 
     def contender(name):
@@ -156,16 +156,17 @@ def test_contenders_take_turns_until_each_has_spent_its_budget(bench, monkeypatc
 
 
 def test_a_timing_shows_median_and_spread_in_milliseconds(bench):
-    timing = bench("timing").Timing.of([0.001 * k for k in range(1, 12)])
+    timing = bench("timing").Timing.of([(0.001 * k, 0.0005) for k in range(1, 12)])
     assert str(timing) == "6 (2 - 10)"
     assert timing.numbers["minimum_ms"] == pytest.approx(1.0)
-    assert str(bench("timing").Timing.of([0.25])) == "250 (once)"
+    assert timing.numbers["processor_ms"] == pytest.approx(0.5)
+    assert str(bench("timing").Timing.of([(0.25, 0.2)])) == "250 (once)"
 
 
 def test_what_would_take_too_long_is_left_out_with_the_reason(bench):
     hypergradients, race = bench("hypergradients"), bench("race")
     patience = hypergradients._Patience(limit=1.0)
-    timing = bench("timing").Timing.of([0.2])
+    timing = bench("timing").Timing.of([(0.2, 0.2)])
     patience.remember("torch", 100, race.Result(timing))
     patience.remember("torch", 10, race.Result(timing))  # the longer case is the one that counts
     assert patience.reason("torch", 500) is None
@@ -182,7 +183,7 @@ def test_a_bar_is_met_up_to_its_limit(measured, verdict, bench):
 
 
 def times(median, minimum=None):
-    return {"median_ms": median, "minimum_ms": minimum or median}
+    return {"median_ms": median, "minimum_ms": minimum or median, "processor_ms": median}
 
 
 def test_we_are_held_against_the_faster_jax_and_a_missing_peer_gives_no_verdict(bench):
@@ -195,7 +196,7 @@ def test_we_are_held_against_the_faster_jax_and_a_missing_peer_gives_no_verdict(
     results[contenders.TORCH] = {"left_out": contenders.NOT_INSTALLED}
     jax, torch = bars({"hypergradients": {"paper": {"random": results}}})
     assert (jax.measured, jax.verdict) == (0.4, "met")
-    assert jax.note == "0.5 by minima; compiled function alone 0.36"
+    assert jax.note == "0.5 by minima, 0.4 by processor time; compiled function alone 0.36"
     assert (torch.verdict, torch.note) == ("not measured", contenders.NOT_INSTALLED)
 
 

@@ -64,13 +64,13 @@ def bars(results: Results) -> list[Bar]:
 def _hypergradients(numbers: Numbers) -> Iterator[Bar]:
     for name, results in numbers["paper"].items():
         jax, alone = _fastest(results, JAX), _ratio(results[ALONE], _fastest(results, JAX))
-        note = f"{_by_minima(results[OURS], jax)}"
+        note = f"{_otherwise(results[OURS], jax)}"
         if alone is not None:
             note += f"; compiled function alone {alone:.2f}"
         yield Bar(f"unrolled / JAX jit ({name})", 0.5, _ratio(results[OURS], jax), note=note)
         torch = results[TORCH]
         yield Bar(
-            f"unrolled / torch ({name})", 0.01, _ratio(results[OURS], torch), note=_by_minima(results[OURS], torch)
+            f"unrolled / torch ({name})", 0.01, _ratio(results[OURS], torch), note=_otherwise(results[OURS], torch)
         )
 
 
@@ -81,7 +81,7 @@ def _batches(numbers: Numbers) -> Iterator[Bar]:
             f"demonstrations together / JAX vmap ({name})",
             0.5,
             _ratio(results[OURS], jax),
-            note=_by_minima(results[OURS], jax),
+            note=_otherwise(results[OURS], jax),
         )
 
 
@@ -92,19 +92,20 @@ def _solvers(numbers: Numbers) -> Iterator[Bar]:
         claim, measured = f"bounded solve / Ipopt on plain MX ({name})", None
         note = f"no solve of ours has an objective within {SAME:.0e} of the reference"
         if ours and same_optimum(results[PLAIN]):
-            measured = _total(results[ours]) / _total(results[PLAIN])
-            note = f"{ours}; {_by_minima(*({'minimum_ms': _total(results[n], 'minimum_ms')} for n in (ours, PLAIN)))}"
+            measured = _ratio(_totals(results[ours]), _totals(results[PLAIN]))
+            note = f"{ours}; {_otherwise(*(_totals(results[label]) for label in (ours, PLAIN)))}"
         yield Bar(claim, 1 / 25, measured, note=note)
 
 
 def _implicit(numbers: Numbers) -> Iterator[Bar]:
     for name, results in numbers.items():
-        note = "certified" if results["certified"] else "not certified"
+        note = f"{_otherwise(results[GRADIENT], results[SOLVE])}; {'' if results['certified'] else 'not '}certified"
         yield Bar(f"implicit gradient / solve ({name})", 0.15, _ratio(results[GRADIENT], results[SOLVE]), note=note)
         yield Bar(
             f"solve and gradient / unrolled, N = {results['N']} ({name})",
             1.0,
             _ratio(results[BOTH], results["unrolled"]),
+            note=_otherwise(results[BOTH], results["unrolled"]),
         )
 
 
@@ -135,8 +136,9 @@ def _compile_times(numbers: Numbers) -> Iterator[Bar]:
         yield Bar(claim, limit, numbers[slowest][cache]["compile_s"], " s", f"slowest method: {slowest}")
 
 
-def _total(starts: list[Numbers], key: str = "median_ms") -> float:
-    return sum(start[key] for start in starts)
+def _totals(starts: list[Numbers]) -> Numbers:
+    """Times, summed over the starts."""
+    return {key: sum(start[key] for start in starts) for key in ("median_ms", "minimum_ms", "processor_ms")}
 
 
 def _fastest(results: Mapping[str, Numbers], names: tuple[str, ...]) -> Numbers:
@@ -149,7 +151,9 @@ def _ratio(ours: Numbers, other: Numbers, key: str = "median_ms") -> float | Non
     return ours[key] / other[key] if key in ours and key in other else None
 
 
-def _by_minima(ours: Numbers, other: Numbers) -> str:
-    """The ratio of minima, or why there is none."""
-    ratio = _ratio(ours, other, "minimum_ms")
-    return str(other.get("left_out", "")) if ratio is None else f"{ratio:.3g} by minima"
+def _otherwise(ours: Numbers, other: Numbers) -> str:
+    """The ratios of minima and of processor times, or why there are none."""
+    least, processor = (_ratio(ours, other, key) for key in ("minimum_ms", "processor_ms"))
+    if least is None or processor is None:
+        return str(other.get("left_out", ""))
+    return f"{least:.3g} by minima, {processor:.3g} by processor time"
