@@ -10,14 +10,11 @@ import numpy as np
 from kpirl_ocp.irl.visual_learning import InnerLoop
 from kpirl_ocp.types import Array
 from reproduction import placing, reaching, robustness
-from reproduction.learning import Tried
-from reproduction.reaching import DEFAULT, Contender
-from reproduction.settings import COSTS, Preset
+from reproduction.learning import APPRENTICE, DEFAULT, UNROLLED, Contender, Tried
+from reproduction.settings import Preset
 from reproduction.sweep import Result
 
-UNROLLED = tuple(Contender(cost, "unrolled") for cost in COSTS)
 _UNSTABLE = 0.05  # share of iterations in which the loss rises
-APPRENTICE = Contender("Weighted", "apprenticeship")
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,9 +23,9 @@ from kpirl_ocp.perception.posture import UPRIGHT, carry
 from kpirl_ocp.perception.scene import Scene
 from kpirl_ocp.types import Array, Demonstration
 from reproduction.data import HandClip, Models
-from reproduction.learning import learn_or_fail, unpacked
-from reproduction.reaching import DEFAULT, EFFORT, IMPLICIT, Contender, iterations_of
-from reproduction.settings import COSTS, STARTS, Preset
+from reproduction.learning import DEFAULT, EFFORT, IMPLICIT, UNROLLED, Contender, Lesson, learn_or_fail, unpacked
+from reproduction.reaching import iterations_of
+from reproduction.settings import STARTS, Preset
 from reproduction.sweep import Job, Result
 
 RATE = 1  # [Hz] of the robot; the demonstration is read at 5 Hz, its ten steps are the plan's
@@ -33,7 +33,7 @@ SIZE = 240  # of the images [pixels]
 SUCCESS = 8.0  # the middle of the bottle ends within this of its goal [pixels]; 8 are about 31 mm
 _SPREAD, _TILT = 0.015, 0.05  # how exactly the arm is put at its start, at most [m], [rad]
 _WAY_LEFT = 0.4  # of the way to the goal, at start 2
-CONTENDERS = (*(Contender(cost, "unrolled") for cost in COSTS), DEFAULT, *IMPLICIT, *EFFORT)
+CONTENDERS = (*UNROLLED, DEFAULT, *IMPLICIT, *EFFORT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +93,7 @@ def jobs(models: Models, found: dict[int, Setup], inner: InnerLoop, preset: Pres
             {
                 "models": models,
                 "demonstration": setup.demonstration,
-                "contender": contender,
-                "inner": inner,
-                "iterations": iterations_of(contender, preset.placing_iterations, preset),
-                "seed": seed,
+                "lesson": Lesson(contender, inner, iterations_of(contender, preset.placing_iterations, preset), seed),
             },
         )
         for seed, setup in found.items()
@@ -109,17 +106,9 @@ def name_of(contender: Contender, seed: int) -> str:
     return f"placing/{contender.cost}-{contender.method.replace(', ', '-').replace(' ', '-')}-{seed}"
 
 
-def run(
-    models: Models,
-    demonstration: Demonstration,
-    contender: Contender,
-    inner: InnerLoop,
-    iterations: int,
-    seed: int,
-) -> Result:
+def run(models: Models, demonstration: Demonstration, lesson: Lesson) -> Result:
     """Learn from the one demonstration."""
-    dynamics = models.load_dynamics("placing")
-    return learn_or_fail(dynamics, [demonstration], contender.cost, contender.method, inner, iterations, seed)
+    return learn_or_fail(models.load_dynamics("placing"), [demonstration], lesson)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ ends when it plays the plan, or plans again after every look.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,35 +18,24 @@ from kpirl_ocp.irl.visual_demonstrations import moving_keypoints, own_demonstrat
 from kpirl_ocp.irl.visual_learning import InnerLoop
 from kpirl_ocp.types import Demonstration, Mask
 from reproduction.data import Models
-from reproduction.learning import learn_or_fail, unpacked
-from reproduction.settings import COSTS, Preset
+from reproduction.learning import (
+    APPRENTICE,
+    DEFAULT,
+    EFFORT,
+    IMPLICIT,
+    UNROLLED,
+    Contender,
+    Lesson,
+    learn_or_fail,
+    unpacked,
+)
+from reproduction.settings import Preset
 from reproduction.sweep import Job, Result
 
 RATE = 5  # [Hz]
 
 
-@dataclass(frozen=True)
-class Contender:
-    """A cost family and a method to learn it."""
-
-    cost: str
-    method: str
-
-    @property
-    def label(self) -> str:
-        """As tables and figures name it."""
-        short = {"unrolled": self.cost, "apprenticeship": "Apprenticeship", "default": "Default"}
-        return short.get(self.method, f"{self.cost}, {self.method}")
-
-
-PAPER = (*(Contender(cost, "unrolled") for cost in COSTS), Contender("Weighted", "apprenticeship"))
-DEFAULT = Contender("Weighted", "default")
-IMPLICIT = tuple(Contender(cost, "implicit") for cost in COSTS)
-EFFORT = (
-    Contender("Weighted", "unrolled, effort learned"),
-    Contender("Weighted", "implicit, effort learned"),
-    Contender("Weighted", "implicit, effort per step"),
-)
+PAPER = (*UNROLLED, APPRENTICE)
 CONTENDERS = (*PAPER, DEFAULT, *IMPLICIT, *EFFORT)
 
 
@@ -72,15 +60,13 @@ def jobs(
             first = seed % len(pool)
             train = (pool[first:] + pool[:first])[:count]  # which one is learned from depends on the seed
             for contender in CONTENDERS:
+                iterations = iterations_of(contender, preset.reaching_iterations, preset)
                 arguments = {
                     "models": models,
                     "train": train,
                     "test": test,
                     "moving": moving_keypoints(pool),
-                    "contender": contender,
-                    "inner": inner,
-                    "iterations": iterations_of(contender, preset.reaching_iterations, preset),
-                    "seed": seed,
+                    "lesson": Lesson(contender, inner, iterations, seed),
                 }
                 found.append(Job(name_of(contender, count, seed), run, arguments))
     return found
@@ -96,17 +82,14 @@ def run(
     train: list[Demonstration],
     test: list[Demonstration],
     moving: Mask,
-    contender: Contender,
-    inner: InnerLoop,
-    iterations: int,
-    seed: int,
+    lesson: Lesson,
 ) -> Result:
     """Learn, and plan for the test demonstrations: their IRL losses and relative distances (n_test,)."""
     dynamics = models.load_dynamics("reaching")
-    learned = learn_or_fail(dynamics, train, contender.cost, contender.method, inner, iterations, seed)
+    learned = learn_or_fail(dynamics, train, lesson)
     if learned["failure"]:
         return learned
-    cost = unpacked(learned, inner)
+    cost = unpacked(learned, lesson.inner)
     found = evaluate(planning_problem(dynamics, cost.horizon), cost.solver, cost.psi, test)
     x_of_moving = np.stack([moving, np.zeros_like(moving)], axis=1).ravel()
     planned = [plan.states[:, : dynamics.n_z] for plan in found.solutions]

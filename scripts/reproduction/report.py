@@ -12,10 +12,10 @@ from kpirl_ocp.irl.study import METHODS as STUDY_METHODS
 from kpirl_ocp.irl.tasks import TASKS
 from kpirl_ocp.types import Array
 from reproduction import drawing, robustness
-from reproduction.outcome import APPRENTICE, DEFAULT, UNROLLED, Outcome, claims, restlessness
+from reproduction.learning import APPRENTICE, DEFAULT, EFFORT, IMPLICIT, UNROLLED, Contender
+from reproduction.outcome import Outcome, claims, restlessness
 from reproduction.page import Page
 from reproduction.placing import SUCCESS
-from reproduction.reaching import EFFORT, IMPLICIT, Contender
 from reproduction.settings import STARTS
 
 # Table 1 of the paper: mean and standard deviation of the squared distance, in its own unit.

@@ -10,8 +10,8 @@ from kpirl_ocp.irl.visual_learning import InnerLoop
 from kpirl_ocp.ocp.kinematics import Robot
 from kpirl_ocp.perception.plant import Disturbance
 from reproduction.data import Models
+from reproduction.learning import DEFAULT, UNROLLED, Contender
 from reproduction.placing import SUCCESS, Condition, Setup, name_of, play, scores
-from reproduction.reaching import DEFAULT, Contender
 from reproduction.sweep import Job, Result
 
 _HIDING = Disturbance(hidden=0, since=4, until=8)
@@ -24,13 +24,7 @@ CONDITIONS: Mapping[str, Condition] = {
     "keypoint hidden, mu used": Condition(_HIDING, confidence=0.7),
 }
 TIME_DEPENDENT = Contender("TimeDep", "unrolled")
-CLOSED = (
-    Contender("Weighted", "unrolled"),
-    TIME_DEPENDENT,
-    Contender("RBF", "unrolled"),
-    Contender("TimeDep", "implicit"),
-    DEFAULT,
-)
+CLOSED = (*UNROLLED, Contender("TimeDep", "implicit"), DEFAULT)
 RUNS = (*((contender, True) for contender in CLOSED), (TIME_DEPENDENT, False))  # the last for comparison
 _NEAR, _FAR = 0.01, 0.12  # how far joints 2, 4 and 6 are from start 1, at most [rad]
 _LIMITS = Robot.iiwa().joint_limits

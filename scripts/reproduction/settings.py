@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from kpirl_ocp.irl.visual_learning import InnerLoop
 
-COSTS = ("Weighted", "TimeDep", "RBF")
 STARTS = (1, 2)
 
 
