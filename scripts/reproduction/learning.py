@@ -23,6 +23,7 @@ from kpirl_ocp.irl.visual_learning import (
 from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
 from kpirl_ocp.types import Demonstration
 from reproduction.data import Models
+from reproduction.settings import PAPER_LOOP
 from reproduction.sweep import Job, Result
 
 
@@ -36,16 +37,23 @@ class Contender:
     @property
     def label(self) -> str:
         """As tables and figures name it."""
-        short = {"unrolled": self.cost, "apprenticeship": "Apprenticeship", "default": "Default"}
-        return short.get(self.method, f"{self.cost}, {self.method}")
+        first = {"unrolled": self.cost, "apprenticeship": "Apprenticeship", "default": "Default"}
+        method, *rest = self.method.split(", ")
+        return ", ".join([first.get(method, f"{self.cost}, {method}"), *rest])
+
+    def inner_loop(self, chosen: InnerLoop) -> InnerLoop:
+        """The paper's, or the one that was chosen; it also sets the effort of the converged problem."""
+        return chosen if "more steps" in self.method or "implicit" in self.method else PAPER_LOOP
 
 
 UNROLLED = tuple(Contender(cost, "unrolled") for cost in COSTS)
+MORE_STEPS = tuple(Contender(cost, "unrolled, more steps") for cost in COSTS)
 APPRENTICE = Contender("Weighted", "apprenticeship")
 DEFAULT = Contender("Weighted", "default")  # has nothing to learn
+DEFAULT_MORE_STEPS = Contender("Weighted", "default, more steps")
 IMPLICIT = tuple(Contender(cost, "implicit") for cost in COSTS)
-EFFORT = (
-    Contender("Weighted", "unrolled, effort learned"),
+EFFORT = (  # a single step from u = 0 knows no effort
+    Contender("Weighted", "unrolled, more steps, effort learned"),
     Contender("Weighted", "implicit, effort learned"),
     Contender("Weighted", "implicit, effort per step"),
 )
@@ -65,7 +73,7 @@ def learn(dynamics: NetworkDynamics, demonstrations: Sequence[Demonstration], le
     """A cost of the contender's family."""
     method, inner, iterations = lesson.contender.method, lesson.inner, lesson.iterations
     basis, rng = COSTS[lesson.contender.cost], np.random.default_rng(lesson.seed)
-    if method == "default":
+    if method.startswith("default"):
         planned = PlanningCost.default(horizon_of(demonstrations), dynamics.n_z, inner.solver)
         return LearnedPlan(planned, np.array([_mean_loss(dynamics, planned, demonstrations)]), 0, 0.0)
     if method == "apprenticeship":
@@ -95,11 +103,14 @@ def learn_or_fail(dynamics: NetworkDynamics, demonstrations: Sequence[Demonstrat
         "best": learned.best,
         "seconds": learned.seconds,
         "converged": lesson.contender.method.startswith("implicit"),
+        "steps": lesson.inner.steps,
+        "step_size": lesson.inner.step_size,
     }
 
 
-def unpacked(result: Result, inner: InnerLoop) -> PlanningCost:
-    """The cost in the result of a job."""
+def unpacked(result: Result) -> PlanningCost:
+    """The cost in the result of a job, with the solver that it was learned with."""
+    inner = InnerLoop(int(result["steps"]), float(result["step_size"]))
     solver = CONVERGED if result["converged"] else inner.solver
     return PlanningCost(result["weights"], result["efforts"], solver)
 

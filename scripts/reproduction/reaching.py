@@ -21,8 +21,10 @@ from reproduction.data import Models
 from reproduction.learning import (
     APPRENTICE,
     DEFAULT,
+    DEFAULT_MORE_STEPS,
     EFFORT,
     IMPLICIT,
+    MORE_STEPS,
     UNROLLED,
     Contender,
     Lesson,
@@ -35,8 +37,8 @@ from reproduction.sweep import Job, Result
 RATE = 5  # [Hz]
 
 
-PAPER = (*UNROLLED, APPRENTICE)
-CONTENDERS = (*PAPER, DEFAULT, *IMPLICIT, *EFFORT)
+PLAYED = (*UNROLLED, APPRENTICE, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS)
+CONTENDERS = (*PLAYED, *IMPLICIT, *EFFORT)
 
 
 def iterations_of(contender: Contender, descent: int, preset: Preset) -> int:
@@ -47,7 +49,7 @@ def iterations_of(contender: Contender, descent: int, preset: Preset) -> int:
 
 
 def jobs(
-    models: Models, tracks: Sequence[ArmTrack], inner: InnerLoop, preset: Preset, seeds: Sequence[int]
+    models: Models, tracks: Sequence[ArmTrack], chosen: InnerLoop, preset: Preset, seeds: Sequence[int]
 ) -> list[Job]:
     """One for every contender, number of demonstrations and seed."""
     dynamics = models.load_dynamics("reaching")
@@ -66,7 +68,7 @@ def jobs(
                     "train": train,
                     "test": test,
                     "moving": moving_keypoints(pool),
-                    "lesson": Lesson(contender, inner, iterations, seed),
+                    "lesson": Lesson(contender, contender.inner_loop(chosen), iterations, seed),
                 }
                 found.append(Job(name_of(contender, count, seed), run, arguments))
     return found
@@ -89,7 +91,7 @@ def run(
     learned = learn_or_fail(dynamics, train, lesson)
     if learned["failure"]:
         return learned
-    cost = unpacked(learned, lesson.inner)
+    cost = unpacked(learned)
     found = evaluate(planning_problem(dynamics, cost.horizon), cost.solver, cost.psi, test)
     x_of_moving = np.stack([moving, np.zeros_like(moving)], axis=1).ravel()
     planned = [plan.states[:, : dynamics.n_z] for plan in found.solutions]
@@ -103,9 +105,9 @@ def run(
 
 
 def execution_jobs(
-    models: Models, tracks: Sequence[ArmTrack], learned: dict[str, Result], inner: InnerLoop, preset: Preset, seed: int
+    models: Models, tracks: Sequence[ArmTrack], learned: dict[str, Result], preset: Preset, seed: int
 ) -> list[Job]:
-    """Play the paper's contenders, learned from the most demonstrations, on the simulated arm."""
+    """Play the plans of gradient steps, learned from the most demonstrations, on the simulated arm."""
     count = max(preset.demonstrations)
     return [
         Job(
@@ -115,23 +117,22 @@ def execution_jobs(
                 "models": models,
                 "tracks": list(tracks[-preset.tests :]),
                 "learned": learned[name_of(contender, count, seed)],
-                "inner": inner,
                 "closed_loop": closed,
             },
         )
-        for contender in (*PAPER, DEFAULT)
+        for contender in PLAYED
         for closed in (False, True)
         if not learned[name_of(contender, count, seed)]["failure"]
     ]
 
 
-def execute(models: Models, tracks: list[ArmTrack], learned: Result, inner: InnerLoop, closed_loop: bool) -> Result:
+def execute(models: Models, tracks: list[ArmTrack], learned: Result, closed_loop: bool) -> Result:
     """From the start of every test demonstration: relative distances (n_test,) as seen, and tracking errors [rad]."""
     from kpirl_ocp.perception.plant import CameraPlant
     from kpirl_ocp.perception.scene import Scene
 
     dynamics, detector = models.load_dynamics("reaching"), models.load_detector()
-    controller = Controller.build(dynamics, unpacked(learned, inner), closed_loop)
+    controller = Controller.build(dynamics, unpacked(learned), closed_loop)
     distances, errors = [], []
     with Scene(rate=RATE) as scene:
         for track in tracks:
