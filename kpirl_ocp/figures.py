@@ -40,13 +40,14 @@ def bands(axes: Axes, curves: Mapping[str, Sequence[Array]], log: bool = True) -
     axes.grid(alpha=0.3, which="both")
 
 
-def weights(axes: Axes, values: Array, title: str) -> None:
-    """Weights (T, 3 K) over time as an image: rows are keypoint coordinates, columns time steps."""
+def weights(axes: Axes, values: Array, title: str, dimensions: int = 3) -> None:
+    """Weights (T, dimensions K) over time as an image: rows are keypoint coordinates, columns time steps."""
     limit = float(np.abs(values).max()) or 1.0
     image = axes.imshow(values.T, aspect="auto", cmap="RdBu_r", vmin=-limit, vmax=limit)
     axes.set(title=title, xlabel="time step t")
     axes.set_xticks(range(len(values)), [str(t) for t in range(1, len(values) + 1)])
-    axes.set_yticks(range(values.shape[1]), [f"keypoint {i // 3} {'xyz'[i % 3]}" for i in range(values.shape[1])])
+    names = [f"keypoint {i // dimensions} {'xyz'[i % dimensions]}" for i in range(values.shape[1])]
+    axes.set_yticks(range(values.shape[1]), names)
     axes.figure.colorbar(image, ax=axes, label="weight")
 
 

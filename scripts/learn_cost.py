@@ -1,7 +1,7 @@
 """Learn a cost from one or more demonstrations, plan with it on those kept for testing, and show what was learned.
 
 unrolled: the paper's way; N gradient steps on the actions, differentiated.
-implicit: the planning problem is solved to the end with Ipopt, and its optimality conditions are differentiated.
+implicit: the planning problem is solved to the end with Riccati, and its optimality conditions are differentiated.
 """
 
 import argparse
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kpirl_ocp import GradientDescent, Implicit, Ipopt, KeypointCost, Robot, Unrolled, figures
+from kpirl_ocp import GradientDescent, Implicit, KeypointCost, Riccati, Robot, Unrolled, figures
 from kpirl_ocp.episodes import Episode, read_episodes
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.evaluation import Evaluation, evaluate
@@ -63,7 +63,7 @@ def configure(args: argparse.Namespace, horizon: int, n_z: int) -> LearnedCost:
     else:
         effort = 1 / (2 * args.step_size * args.inner_steps)  # moves about as far as N gradient steps
         cost = KeypointCost(make_basis(args.cost), (effort,) * horizon, learn_effort=True, positivity="softplus")
-        solver = Ipopt()
+        solver = Riccati()
     return LearnedCost(cost, cost.initial(horizon, n_z, start), horizon, solver)
 
 

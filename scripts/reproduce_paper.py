@@ -77,10 +77,10 @@ def experiments(models: Models, material: Data, preset: Preset, seeds: Sequence[
     )
     stage(
         "4/6 reaching, executed",
-        reaching.execution_jobs(models, material.reaching, learned, chosen["reaching"], preset, seeds[0]),
+        reaching.execution_jobs(models, material.reaching, learned, preset, seeds[0]),
     )
-    stage("5/6 placing, executed", placing.execution_jobs(models, found, learned, chosen["placing"]))
-    stage("6/6 robustness", robustness.jobs(models, found, learned, chosen["placing"], preset.cases))
+    stage("5/6 placing, executed", placing.execution_jobs(models, found, learned))
+    stage("6/6 robustness", robustness.jobs(models, found, learned, preset.cases))
     stage.results |= {f"demonstration-{seed}": placing.shown(material.placing, seed) for seed in seeds}
     return Outcome(preset, seeds, chosen, tried, stage.results)
 

@@ -1,6 +1,6 @@
 """Plan a motion of an arm that carries its keypoints to a goal, and audit the solution.
 
-The goal is the starting place displaced by --move, in metres. Try: --robot panda --solver ipopt --move 0.1 0 -0.2
+The goal is the starting place displaced by --move, in metres. Try: --robot panda --solver riccati --move 0.1 0 -0.2
 """
 
 import argparse
@@ -13,12 +13,14 @@ from kpirl_ocp import (
     GradientDescent,
     Ipopt,
     KeypointCost,
+    Riccati,
     Robot,
     Solution,
     figures,
     keypoint_ocp,
     keypoint_state,
 )
+from kpirl_ocp.ocp.solver import Solver
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 
@@ -37,7 +39,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--horizon", type=int, default=10, help="time steps T (default: 10)")
     parser.add_argument("--effort", type=float, default=0.1, help="weight rho of |u|² (default: 0.1)")
     parser.add_argument("--max-displacement", type=float, default=0.2, help="per joint and step [rad] (default: 0.2)")
-    parser.add_argument("--solver", choices=["ipopt", "gradient"], default="ipopt")
+    parser.add_argument("--solver", choices=["riccati", "ipopt", "gradient"], default="riccati")
     parser.add_argument("--steps", type=int, default=500, help="of the gradient solver (default: 500)")
     parser.add_argument("--step-size", type=float, default=3e-3, help="of the gradient solver (default: 0.003)")
     parser.add_argument("--out", default="out/solve_ocp", help="directory to write (default: %(default)s)")
@@ -72,6 +74,12 @@ def draw(solution: Solution, distance: np.ndarray, joints: np.ndarray, limit: fl
     return figures.save(figure, path)
 
 
+def solver_of(args: argparse.Namespace) -> Solver:
+    if args.solver == "gradient":
+        return GradientDescent(args.steps, args.step_size, project=True)
+    return Riccati() if args.solver == "riccati" else Ipopt()
+
+
 def main() -> None:
     args = parse()
     robot, gradient = robot_called(args.robot), args.solver == "gradient"
@@ -84,8 +92,7 @@ def main() -> None:
     )
     start = bent_posture(robot)
     goal = (robot.locate(start) + np.array(args.move)).ravel()
-    solver = GradientDescent(args.steps, args.step_size, project=True) if gradient else Ipopt()
-    solution = solver.solve(problem, keypoint_state(robot, start), (), goal)
+    solution = solver_of(args).solve(problem, keypoint_state(robot, start), (), goal)
 
     keypoints, joints, _ = np.split(solution.states, [goal.size, goal.size + robot.n_joints], axis=1)
     distance = np.linalg.norm((keypoints - goal).reshape(args.horizon + 1, -1, 3), axis=2)

@@ -181,10 +181,22 @@ def test_repulsion_is_one_on_one_spot_and_falls_with_the_distance():
     assert losses.repulsion(clip_of_paths(WAVE, WAVE + 1.0)) < 1e-20
 
 
-def test_neither_separation_nor_repulsion_looks_at_mu():
+def test_cohesion_is_the_mean_distance_outside_the_circle_around_the_middle():
+    apart = clip_of_paths(WAVE, WAVE + np.array([0.0, 0.36]))
+    assert_close(losses.cohesion(apart), 0.10)  # each is 0.18 from their middle, 0.08 are free
+    assert_close(losses.cohesion(clip_of_paths(WAVE, WAVE + np.array([0.12, 0.0]))), 0.0)
+
+
+def test_cohesion_of_keypoints_on_one_spot_has_no_gradient_and_no_nan():
+    keypoints = clip_of_paths(WAVE, WAVE).requires_grad_()
+    losses.cohesion(keypoints).backward()
+    assert not keypoints.grad.any()
+
+
+def test_only_positions_are_kept_together_or_apart():
     keypoints = clip_of_paths(WAVE, SWITCH)
     faint = keypoints * torch.tensor([1.0, 1.0, 0.1])
-    for term in (losses.separation, losses.repulsion):
+    for term in (losses.separation, losses.repulsion, losses.cohesion):
         assert_close(term(faint), term(keypoints))
 
 

@@ -19,7 +19,7 @@ from kpirl_ocp.perception.motions import HandPlacing, LastJoint, Placing, Sines
 SEED = 4321  # of no training or test data
 MOTIONS = {
     "keypoints": (LastJoint(), 8),
-    "sines": (Sines(steps=30), 6),
+    "sines": (Sines(steps=20), 16),
     "placing": (Placing(), 10),
     "hand-placing": (HandPlacing(), 2),
 }

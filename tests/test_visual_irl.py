@@ -141,21 +141,39 @@ def test_after_some_steps_the_rest_of_the_cost_is_left_and_nothing_beyond_the_en
         cost.after(5)
 
 
-def test_with_a_true_model_and_a_converged_solver_planning_again_changes_nothing():
-    """Bellman's principle: what is left of an optimal plan is optimal."""
-    runs = [Controller.build(DYNAMICS, converged_cost(), closed).run(LinearPlant(), GOAL) for closed in (False, True)]
-    assert np.allclose(runs[0].actions, runs[1].actions, atol=1e-8)
+def stopped_cost():
+    """A cost for N gradient steps, with a negative weight: more steps would go ever farther."""
+    return PlanningCost(np.tile([1.0, 1.5, -0.1, 0.5], (T, 1)), np.zeros(T), INNER.solver)
+
+
+@pytest.mark.parametrize(("cost", "accuracy"), [(converged_cost(), 1e-8), (stopped_cost(), 1e-15)])
+def test_with_a_true_model_planning_again_changes_nothing(cost, accuracy):
+    """Bellman's principle where the solver converges."""
+    runs = [Controller.build(DYNAMICS, cost, closed).run(LinearPlant(), GOAL) for closed in (False, True)]
+    assert np.allclose(runs[0].actions, runs[1].actions, atol=accuracy)
     assert [len(run.plans) for run in runs] == [1, T]
     assert all(run.tracking_error < 1e-15 for run in runs)
 
 
-def test_planning_again_makes_up_for_an_arm_that_falls_short():
+def test_a_converged_solver_plans_again_from_what_is_seen():
+    cost, plant = converged_cost(), LinearPlant(gain=0.6)
+    done = Controller.build(DYNAMICS, cost).run(plant, GOAL)
+    seen = DYNAMICS.state(done.believed[2], done.joints[2])
+    anew = cost.solver.solve(planning_problem(DYNAMICS, T), seen, cost.after(2).psi, GOAL)
+    assert np.allclose(done.actions[2], anew.actions[0], atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("cost", "share"),
+    [(converged_cost(), 0.31), (PlanningCost(np.ones((T, 2 * K)), np.zeros(T), INNER.solver), 0.68)],
+)
+def test_planning_again_makes_up_for_an_arm_that_falls_short(cost, share):
     def miss(closed):
-        done = Controller.build(DYNAMICS, converged_cost(), closed).run(LinearPlant(gain=0.6), GOAL)
+        done = Controller.build(DYNAMICS, cost, closed).run(LinearPlant(gain=0.6), GOAL)
         assert done.tracking_error == pytest.approx(0.4 * np.sqrt(np.mean(done.actions**2)), rel=1e-12)
         return np.linalg.norm(positions(done.keypoints[-1]) - GOAL)
 
-    assert miss(closed=True) < 0.5 * miss(closed=False)
+    assert miss(closed=True) < share * miss(closed=False)
 
 
 def test_a_keypoint_that_the_detector_is_not_sure_of_is_predicted_instead():

@@ -28,7 +28,8 @@ TRUNCATION = 10  # steps that Truncated goes back
 class Measurement:
     """One method on one problem.
 
-    steps: N of the inner gradient descent, 0 for Ipopt. error: relative to the reference. seconds: median of a call.
+    steps: N of the inner gradient descent, 0 if it converges. error: relative to the reference. seconds: median of a
+        call.
     memory: by how much the resident memory of a fresh process peaks while it builds and calls the method [bytes].
     certificate: what it says.
     """
@@ -47,7 +48,7 @@ def methods(case: Case, steps: list[int]) -> Iterator[tuple[str, int, Hypergradi
         yield "unrolled", n, Unrolled(descent(case, n), policy="flag")
         yield f"truncated to {TRUNCATION}", n, Truncated(descent(case, n), min(n, TRUNCATION))
         yield "implicit (descent)", n, Implicit(descent(case, n), policy="flag")
-    yield "implicit (Ipopt)", 0, Implicit(policy="flag")
+    yield "implicit (Riccati)", 0, Implicit(policy="flag")
     yield "finite difference", 0, FiniteDifference(policy="flag")
 
 
@@ -114,7 +115,7 @@ def learn_with_each(name: str, steps: list[int], iterations: int, learning_rate:
     """Learn psi on the example `name` without its constraints: unrolled for each N, and implicit."""
     case = free(CASES[name]())
     contenders: dict[str, Hypergradient] = {f"unrolled, N = {n}": Unrolled(descent(case, n)) for n in steps}
-    contenders["implicit (Ipopt)"] = Implicit()
+    contenders["implicit (Riccati)"] = Implicit()
     results = {}
     for label, method in contenders.items():
         method(case.problem, case.demonstration, case.psi)  # build outside the clock

@@ -23,10 +23,10 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradient import Certificate, HypergradientResult, check_policy, enforce, not_finite, seen
 from kpirl_ocp.irl.loss import Loss, squared_distance
 from kpirl_ocp.ocp.factorisation import Factorisation
-from kpirl_ocp.ocp.ipopt import Ipopt
 from kpirl_ocp.ocp.probe import Probe, probe
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.response import Response
+from kpirl_ocp.ocp.riccati import Riccati
 from kpirl_ocp.ocp.sensitivity import Instance, linearise, primal_dual
 from kpirl_ocp.ocp.solver import BarrierSolver, Guess, Solver
 from kpirl_ocp.types import Demonstration, Mask, Solution, Status
@@ -84,7 +84,7 @@ class Implicit:
         bound is weakly active.
     """
 
-    solver: Solver = Ipopt()
+    solver: Solver = Riccati()
     loss: Loss = squared_distance
     policy: Literal["raise", "flag", "smooth"] = "raise"
     barrier: float = 1e-4

@@ -15,10 +15,11 @@ from kpirl_ocp.ocp.ipopt import Ipopt
 from kpirl_ocp.ocp.keypoint_planning import keypoint_ocp
 from kpirl_ocp.ocp.kinematics import Robot
 from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.riccati import Riccati
 from kpirl_ocp.types import Array
 
 BASES: dict[str, type] = {"weighted": Weighted, "time": TimeDependent, "rbf": RBF, "default": Default}
-SOLVERS: dict[str, type] = {"gradient_descent": GradientDescent, "ipopt": Ipopt}
+SOLVERS: dict[str, type] = {"gradient_descent": GradientDescent, "riccati": Riccati, "ipopt": Ipopt}
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class LearnedCost:
     cost: KeypointCost
     psi: Array
     horizon: int
-    solver: GradientDescent | Ipopt
+    solver: GradientDescent | Riccati | Ipopt
 
     def problem(self, robot: Robot) -> OCP:
         """The planning problem of this cost; without constraints if the solver is gradient descent."""

@@ -22,10 +22,10 @@ from kpirl_ocp.irl.tasks import HORIZON, as_demonstration
 from kpirl_ocp.irl.unrolled import Unrolled
 from kpirl_ocp.ocp.costs import Default, KeypointCost, Weighted
 from kpirl_ocp.ocp.gradient_descent import GradientDescent
-from kpirl_ocp.ocp.ipopt import Ipopt
 from kpirl_ocp.ocp.keypoint_planning import keypoint_ocp
 from kpirl_ocp.ocp.kinematics import Robot
 from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.riccati import Riccati
 from kpirl_ocp.ocp.solver import Solver
 from kpirl_ocp.types import Array, Demonstration
 
@@ -122,7 +122,7 @@ def _implicit(
     problem = keypoint_ocp(robot, cost, settings.horizon)
     psi0 = cost.initial(settings.horizon, len(scale), scale)
     result = learn(problem, train, psi0, Implicit(), LBFGS(), settings.iterations, progress=False)
-    return _curve_of(result, problem, Ipopt(), test)
+    return _curve_of(result, problem, Riccati(), test)
 
 
 def _apprenticeship(

@@ -18,10 +18,10 @@ import numpy as np
 from kpirl_ocp.episodes import Episode, write_episodes
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.motion import forward_then_down, minimum_jerk
-from kpirl_ocp.ocp.ipopt import Ipopt
 from kpirl_ocp.ocp.keypoint_planning import keypoint_state
 from kpirl_ocp.ocp.kinematics import Robot
 from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.riccati import Riccati
 from kpirl_ocp.types import Array, Demonstration
 
 HORIZON = 9
@@ -105,7 +105,7 @@ def tracking_problem(robot: Robot, horizon: int) -> OCP:
 def _track(robot: Robot, tracker: OCP, start: Array, displacement: Array) -> Episode | None:
     """The arm's motion along a displacement (T+1, 3) [m] of the object, or None if it cannot follow."""
     reference = robot.locate(start)[None] + displacement[:, None]  # (T+1, K, 3)
-    solution = Ipopt().solve(tracker, start, (), reference[1:].ravel())
+    solution = Riccati().solve(tracker, start, (), reference[1:].ravel())
     if not solution.status.ok:
         return None
     keypoints = np.array([robot.locate(theta) for theta in solution.states])

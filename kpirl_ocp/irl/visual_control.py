@@ -1,9 +1,13 @@
 """From a learned cost to motion: plan once and play the plan, or plan again after every look (MPC).
 
-    s_t = (z_t, theta_t, theta_dot_t) as seen and measured;   u_t .. u_{T-1} = plan(s_t) with what is left of the cost
+    u  <-  u' + plan(s_t | u') - plan(s'_t | u')
 
-A plan starts from what is left of the one before. A keypoint that the detector is not sure of (mu) is replaced by where
-the model expects it.
+plans with what is left of the cost, from what is left of the plan, u'; s_t = (z_t, theta_t, theta_dot_t) is as seen and
+measured, s'_t as the model expected it. Only what was not expected changes the plan. For a converged solver
+plan(s'_t | u') = u' (Bellman), which leaves plan(s_t | u'). But N gradient steps more, on a plan of N gradient steps,
+go farther than was learned, even where all went as planned.
+
+A keypoint that the detector is not sure of (mu) is replaced by where the model expects it.
 """
 
 from __future__ import annotations
@@ -52,7 +56,7 @@ class Execution:
 
     keypoints: (T+1, K, 3) as seen. joints: (T+1, n_joints) as measured. actions: (T, n_joints) as commanded.
     believed: (T+1, n_z) keypoints that were planned from; the detected ones, unless mu was too low.
-    plans: the solutions, one if the loop was open, T if it was closed.
+    plans: the solutions from what was seen, one if the loop was open, T if it was closed.
     """
 
     keypoints: Array
@@ -104,18 +108,18 @@ class Controller:
             raise ProblemError(f"the goal must be ({len(believed[0])},), got {goal.shape}.")
         plans = [self.plan(self._state(sights[0], believed[0]), goal)]
         left, actions = plans[0].actions, []
-        for step in range(self.cost.horizon):
+        for step in range(1, self.cost.horizon + 1):
             actions.append(left[0])
-            expected = self._predict(sights[-1], believed[-1], left[0])
+            expected = self._predict(self._state(sights[-1], believed[-1]), left[0])
             plant.act(left[0])
             sights.append(plant.look())
-            believed.append(self._believe(sights, expected))
+            believed.append(self._believe(sights, expected[: self.dynamics.n_z]))
             left = np.vstack([left[1:], np.zeros_like(left[:1])])
-            if self.closed_loop and step + 1 < self.cost.horizon:
+            if self.closed_loop and step < self.cost.horizon:
                 state = self._state(sights[-1], believed[-1])
-                guess = self.problem.simulate(state, left, self.cost.psi)
-                plans.append(self.plan(state, goal, step + 1, guess))
-                left = plans[-1].actions
+                seen, foreseen = (self._plan_on(start, left, goal, step) for start in (state, expected))
+                plans.append(seen)
+                left = left + seen.actions - foreseen.actions
         return Execution(
             keypoints=np.array([sight.keypoints for sight in sights]),
             joints=np.array([sight.joints for sight in sights]),
@@ -127,10 +131,13 @@ class Controller:
     def _state(self, sight: Sight, keypoints: Array) -> Array:
         return self.dynamics.state(keypoints, sight.joints, sight.velocities)
 
-    def _predict(self, sight: Sight, keypoints: Array, u: Array) -> Array:
-        """Where the model expects the keypoints (n_z,) after u."""
-        following = self.problem.dynamics(self._state(sight, keypoints), u, self.cost.psi)
-        return np.array(following).ravel()[: self.dynamics.n_z]
+    def _predict(self, state: Array, u: Array) -> Array:
+        """The state (n_s,) that the model expects after u."""
+        return np.array(self.problem.dynamics(state, u, self.cost.psi)).ravel()
+
+    def _plan_on(self, state: Array, left: Array, goal: Array, steps_taken: int) -> Solution:
+        """plan(state | left)."""
+        return self.plan(state, goal, steps_taken, self.problem.simulate(state, left, self.cost.psi))
 
     def _believe(self, sights: list[Sight], expected: Array) -> Array:
         """The keypoints (n_z,) as seen where mu is high enough, else as expected."""

@@ -24,15 +24,15 @@ from kpirl_ocp.irl.unrolled import Unrolled
 from kpirl_ocp.irl.visual_costs import PlanningCost
 from kpirl_ocp.ocp.costs import RBF, Basis, KeypointCost, TimeDependent, Weighted
 from kpirl_ocp.ocp.gradient_descent import GradientDescent
-from kpirl_ocp.ocp.ipopt import Ipopt
 from kpirl_ocp.ocp.keypoint_planning import network_ocp
 from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.riccati import Riccati
 from kpirl_ocp.ocp.solver import Solver
 from kpirl_ocp.types import Array, Demonstration
 
 COSTS: Mapping[str, Basis] = {"Weighted": Weighted(), "TimeDep": TimeDependent(), "RBF": RBF()}
 Effort = Literal["fixed", "learned", "learned per step"]
-CONVERGED = Ipopt(tolerance=1e-9)  # solves the converged inner problem, in learning and in planning
+CONVERGED = Riccati(tolerance=1e-9)  # solves the converged inner problem, in learning and in planning
 _LEAST_WEIGHT = 0.5  # starting weights are drawn between this and _LARGEST_WEIGHT, as in the simulation study
 _LARGEST_WEIGHT = 1.5
 

@@ -5,6 +5,7 @@ Waechter and Biegler, On the implementation of an interior-point filter line-sea
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,7 +30,7 @@ class Filter:
         """For a first iterate with violation theta."""
         return cls(largest=1e4 * max(1.0, theta), small=1e-4 * max(1.0, theta))
 
-    def accepts(self, theta: float, phi: float, slope: float, length: float, trial: tuple[float, float]) -> bool:
+    def accepts(self, theta: float, phi: float, slope: float, length: float, trial: Sequence[float]) -> bool:
         """Is a step of `length` from (theta, phi) with directional derivative `slope` of phi to `trial` good enough?
 
         Adds the point it leaves to the filter, unless the objective alone decided.

@@ -7,8 +7,9 @@ multipliers z > 0. The Newton step on the perturbed conditions
 
 eliminates y, z and nu, which leaves the linear-quadratic problem of `kpirl_ocp.ocp.recursion` with
 
-    H + G' (z/y) G + E' E / delta + rho I,    gradient + G' (tau/y + z/y (g + y)) + E' (w_fixed - b) / delta.
+    H + G' (z/y) G + E' E / delta + rho R,    gradient + G' (tau/y + z/y (g + y)) + E' (w_fixed - b) / delta.
 
+R is the identity of the actions: enough of it makes the reduced Hessian positive, and states may go on to move far.
 Entries fixed by coinciding bounds are equalities with a multiplier nu of their own, updated by the proximal step
 nu + (w_fixed - b) / delta: exact where the method converges, and never singular.
 """
@@ -92,10 +93,10 @@ def rows(problem: OCP) -> Rows:
 
 @lru_cache(maxsize=64)
 def newton_step(problem: OCP) -> ca.Function:
-    """The step (ds (n_s, T+1), du (n_u, T), dlambda (n_s, T), dy (m,), dz (m,), dnu) and the pivots (n_u, T).
+    """The step (ds (n_s, T+1), du (n_u, T), dlambda (n_s, T), dy (m,), dz (m,), dnu), pivots (n_u, T), gains K.
 
     Of (r, r_T, defects, F, G, H, H_T) of `stages.second`, g (m,), the violation of fixed entries, the gap in s_0,
-    y, z, nu, tau and rho.
+    y, z, nu, tau and rho. K (n_u, n_s T) is the feedback du_t = ... + K_t ds_t.
     """
     steps, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
     at = rows(problem)
@@ -113,8 +114,9 @@ def newton_step(problem: OCP) -> ca.Function:
     (force_b, force_h), (weights_b, weights_h) = ca.vertsplit(force, split), ca.vertsplit(weights, split)
     pushing = force_h - ca.vertsplit(z, split)[1]  # the gradient r holds the path constraints' z
     bounds, fixed = selection(problem, at.entries, at.signs), selection(problem, at.fixed, np.ones(len(at.fixed)))
+    actions = ca.vertcat(ca.DM(steps * n_s, 1), ca.DM.ones(steps * problem.n_actions))
     push, push_last = _by_stage(problem, bounds @ force_b + fixed @ (nu + off / PROXIMAL))
-    stiff, stiff_last = _by_stage(problem, (bounds * bounds) @ weights_b + ca.sum2(fixed) / PROXIMAL + rho)
+    stiff, stiff_last = _by_stage(problem, (bounds * bounds) @ weights_b + ca.sum2(fixed) / PROXIMAL + rho * actions)
     by_stage = (ca.reshape(x, n_h, steps) for x in (weights_h, pushing))
     condensed, slope = _condense(n_x, n_h).map(steps)(H, r + push, G, stiff, *by_stage)
 
@@ -123,8 +125,15 @@ def newton_step(problem: OCP) -> ca.Function:
     dw = ca.vertcat(ca.vec(ds[:, 1:]), ca.vec(du))
     dg = ca.vertcat(bounds.T @ dw, ca.vec(_product(n_h, n_x).map(steps)(G, ca.vertcat(ds[:, :steps], du))))
     step = [ds, du, dlam, -(g + y) - dg, force + weights * dg - z, (fixed.T @ dw + off) / PROXIMAL, pivots]
+    step.append(_gains(n_s, problem.n_actions).map(steps)(W, Y, pivots))
     inputs = [r, last, defects, F, G, H, H_last, g, off, gap, y, z, nu, tau, rho]
     return ca.Function("newton_step", inputs, [ca.densify(x) for x in step])
+
+
+def _gains(n_s: int, n_u: int) -> ca.Function:
+    """(W, Y, pivots) of a stage -> K = -W' J Y."""
+    W, Y, pivots = ca.MX.sym("W", n_u, n_u), ca.MX.sym("Y", n_u, n_s), ca.MX.sym("D", n_u)
+    return ca.Function("gains", [W, Y, pivots], [-W.T @ (ca.repmat(ca.sign(pivots), 1, n_s) * Y)])
 
 
 def _condense(n_x: int, n_h: int) -> ca.Function:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from kpirl_ocp.ocp.calls import call
+from kpirl_ocp.ocp.follow import follow
 from kpirl_ocp.ocp.interior_point import BOUNDARY, CENTRE, Rows, newton_step, rows
 from kpirl_ocp.ocp.kkt import largest
 from kpirl_ocp.ocp.problem import OCP
@@ -15,6 +16,7 @@ from kpirl_ocp.ocp.stages import by_time, first, second, values
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Trajectory
 
 _PUSH = 1e-2  # how far a cold start is moved inside its bounds, relative to their size and distance
+_REMAINDER = 0.1  # a step along the dynamics may end this much closer to the boundary than its linearisation
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,10 @@ class Iterate:
 
 @dataclass(frozen=True)
 class Step:
-    """A Newton step, its longest lengths that keep y and z positive, and whether all pivots were positive."""
+    """A Newton step, its longest lengths that keep y and z positive, and whether all pivots were positive.
+
+    gains: K (n_u, n_s T), flat.
+    """
 
     ds0: Array
     dw: Array
@@ -54,6 +59,7 @@ class Step:
     dual_length: float
     regularisation: float
     positive: bool
+    gains: Array
 
     def slope(self, at: Derivatives, tau: float) -> float:
         """Directional derivative of J - tau sum log y."""
@@ -130,8 +136,10 @@ class Newton:
 
     def __init__(self, problem: OCP, s0: Array, psi: Array, context: Array) -> None:
         self.problem, self.s0, self.psi, self.context = problem, s0, psi, context
-        functions = (values, first, second, newton_step)
-        self._values, self._first, self._second, self._step = (call(problem, build) for build in functions)
+        functions = (values, first, second, newton_step, follow)
+        self._values, self._first, self._second, self._step, self._follow = (
+            call(problem, build) for build in functions
+        )
         self._rows: Rows = rows(problem)
 
     def start(self, guess: Trajectory | None) -> Iterate:
@@ -185,7 +193,7 @@ class Newton:
         it, (r, r_last), (F, G, H, H_last) = at.iterate, at.slopes, at.matrices
         barrier, rho = np.array([tau]), np.array([regularisation])
         arguments = (r, r_last, at.defects, F, G, H, H_last, at.rows, at.off, at.gap, it.y, it.z, it.nu, barrier, rho)
-        ds, du, dcostates, dy, dz, dnu, pivots = self._step(*arguments)
+        ds, du, dcostates, dy, dz, dnu, pivots, gains = self._step(*arguments)
         share = max(BOUNDARY, 1 - tau)
         return Step(
             ds0=ds[: len(self.s0)],
@@ -198,15 +206,30 @@ class Newton:
             dual_length=_longest(it.z, dz, share),
             regularisation=regularisation,
             positive=bool(((pivots > 0) & (pivots < np.inf)).all() and np.isfinite(du).all()),
+            gains=gains,
         )
 
-    def measure(self, at: Iterate, tau: float) -> tuple[float, float]:
-        """theta and phi at a trial point, NaN included."""
-        (objective,), defects, path = self._values(*self._point(at.s0, at.w), self.psi, self.context)
-        g = self._rows.evaluate(at.w, path)
-        off, gap = at.w[self._rows.fixed] - self._rows.values, self.s0 - at.s0
-        theta = sum(np.abs(part).sum() for part in (defects, gap, off, g + np.maximum(at.y, -g)))
-        return float(theta), float(objective - tau * np.log(np.maximum(at.y, -g)).sum())
+    def trial(self, at: Derivatives, step: Step, length: float, tau: float) -> tuple[Iterate, float, float]:
+        """The point after a step of this length along the dynamics; its theta and phi, NaN included.
+
+        Bounds keep the share 1 - length of their residual: one that holds holds on. Where that leaves too little of
+        a slack, phi is infinite.
+        """
+        it, n_b, n_s = at.iterate, len(self._rows.bounds), len(at.iterate.s0)
+        point = (*self._point(it.s0, it.w), *self._point(step.ds0, step.dw))
+        states, actions, (objective,), path = self._follow(
+            *point, step.gains, at.defects, np.array([length]), self.psi, self.context
+        )
+        moved = replace(it.moved(step, length), s0=states[:n_s], w=np.concatenate([states[n_s:], actions]))
+        g = self._rows.evaluate(moved.w, path)
+        y = np.maximum(moved.y, -g)
+        y[:n_b] = (1 - length) * (at.rows + it.y)[:n_b] - g[:n_b]
+        off = moved.w[self._rows.fixed] - self._rows.values
+        parts = ((1 - length) * at.defects, self.s0 - moved.s0, off, g + y)
+        theta = sum(np.abs(part).sum() for part in parts)
+        inside = (y >= _REMAINDER * min(1 - BOUNDARY, tau) * it.y).all()
+        phi = objective - tau * np.log(y).sum() if inside else np.inf
+        return replace(moved, y=y), float(theta), float(phi)
 
     def centre(self, at: Iterate, tau: float) -> Iterate:
         """The same point with slacks no smaller than what is left of the constraint, and multipliers near tau / y."""

@@ -38,7 +38,7 @@ def real_time_step(problem: OCP) -> ca.Function:
     forces = ca.reshape(ca.vertsplit(z, [0, len(at.bounds), z.numel()])[1], problem.n_path, steps)
     _, defects, path, _, _, r, last, *matrices = second(problem)(S, U, psi, context, costates, forces)
     g, off = _constraints(problem, S, U, path)
-    *step, pivots = newton_step(problem)(r, last, defects, *matrices, g, off, s0 - S[:, 0], y, z, nu, tau, rho)
+    *step, pivots, _ = newton_step(problem)(r, last, defects, *matrices, g, off, s0 - S[:, 0], y, z, nu, tau, rho)
 
     share = ca.fmax(BOUNDARY, 1 - tau)
     primal, dual = _longest(y, step[3], share), _longest(z, step[4], share)

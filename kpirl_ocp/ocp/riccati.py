@@ -1,8 +1,9 @@
 """A primal-dual interior-point method whose Newton steps are Riccati recursions: O(T) time and memory.
 
 Multiple shooting with exact Hessians. The pivots of the recursion show whether the Hessian is positive along the
-dynamics; where it is not, a multiple of the identity is added (Waechter and Biegler, 2006, section 3.1). A filter
-globalises. The recursion is that of Rao, Wright and Rawlings (1998) and of HPIPM (Frison and Diehl, 2020).
+dynamics; where it is not, weight on the actions is added (as in Waechter and Biegler, 2006, section 3.1). Steps follow
+the dynamics (`kpirl_ocp.ocp.follow`), as long as a filter accepts. The recursion is that of Rao, Wright and Rawlings
+(1998) and of HPIPM (Frison and Diehl, 2020).
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Riccati:
     """
 
     tolerance: float = 1e-10
-    max_iterations: int = 300
+    max_iterations: int = 500
     barrier: float = 0.0
     steps: int | None = None
 
@@ -171,19 +172,22 @@ class _Run:
             step = self._step(rho)
             if step is None:
                 return False
-            length = step.primal_length
+            length, before, slope = step.primal_length, self.at.merit(self.tau), step.slope(self.at, self.tau)
             tiny = largest(step.dw) <= _TINY * (1 + largest(self.iterate.w))
             while length >= _SHORTEST:
-                trial = self.newton.measure(self.iterate.moved(step, length), self.tau)
-                if tiny or self.filter.accepts(*self.at.merit(self.tau), step.slope(self.at, self.tau), length, trial):
-                    self._move(step, length)
+                trial, *merit = self.newton.trial(self.at, step, length, self.tau)
+                if (tiny and np.isfinite(merit[1])) or self.filter.accepts(*before, slope, length, merit):
+                    self._arrive(replace(trial, z=self.iterate.z + step.dual_length * step.dz))
                     return True
                 length /= 2
             rho = max(100 * step.regularisation, 1e-4)
         return False
 
     def _move(self, step: Step, length: float, last: bool = False) -> None:
-        self.iterate = self.newton.centre(self.iterate.moved(step, length, step.dual_length), self.tau)
+        self._arrive(self.iterate.moved(step, length, step.dual_length), last)
+
+    def _arrive(self, at: Iterate, last: bool = False) -> None:
+        self.iterate = self.newton.centre(at, self.tau)
         self.at = self.newton.differentiate(self.iterate, matrices=not last)
 
     def solution(self, status: Status) -> Solution:

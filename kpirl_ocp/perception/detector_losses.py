@@ -1,7 +1,7 @@
 """What the detector is trained on; no labels anywhere.
 
-The first three terms are those of Minderer et al. (2019). Alone they let keypoints settle on whatever helps to paint
-the image; the other two tie them to what moves and make them follow it.
+Reconstruction, separation and sparsity are those of Minderer et al. (2019). Alone they let keypoints settle on whatever
+helps to paint the image; the others tie them to one object that moves and make them follow it.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ class LossWeights:
 
     separation: float = 2.0
     repulsion: float = 2.0
+    cohesion: float = 50.0
     sparsity: float = 5.0
     attention: float = 2.0
     appearance: float = 20.0
@@ -56,6 +57,16 @@ def repulsion(keypoints: Tensor, width: float = 0.1) -> Tensor:
     position = keypoints[..., :2]
     distance = (position[:, :, :, None] - position[:, :, None]).square().sum(-1)  # (B, T, K, K)
     return _off_diagonal_mean(torch.exp(-distance / (2 * width**2)).mean((0, 1)))
+
+
+def cohesion(keypoints: Tensor, radius: float = 0.08) -> Tensor:
+    """How far keypoints (B, T, K, 3) are from their middle:  mean_k max(0, |z_k - mean_l z_l| - radius).
+
+    They belong on one object; the arm that carries it moves too.
+    """
+    position = keypoints[..., :2]
+    distance = torch.linalg.vector_norm(position - position.mean(-2, keepdim=True), dim=-1)
+    return functional.relu(distance - radius).mean()
 
 
 def _off_diagonal_mean(alike: Tensor) -> Tensor:

@@ -30,6 +30,7 @@ TERMS = (
     "reconstruction",
     "separation",
     "repulsion",
+    "cohesion",
     "sparsity",
     "attention",
     "appearance",
@@ -77,7 +78,7 @@ PRESETS: Mapping[str, DetectorSettings] = {
         encoder="plain",
         filters=32,
         losses=LossWeights(
-            separation=10.0, repulsion=0.0, sparsity=5.0, attention=0.0, appearance=0.0, equivariance=0.0
+            separation=10.0, repulsion=0.0, cohesion=0.0, sparsity=5.0, attention=0.0, appearance=0.0, equivariance=0.0
         ),
     ),
 }
@@ -142,6 +143,7 @@ def _step(
         "reconstruction": losses.reconstruction(clips, painted),
         "separation": losses.separation(keypoints),
         "repulsion": losses.repulsion(keypoints),
+        "cohesion": losses.cohesion(keypoints),
         "sparsity": losses.sparsity(scores),
         "attention": losses.attention(scores, losses.motion(clips, model.cells)),
         "appearance": losses.appearance(clips, scores),

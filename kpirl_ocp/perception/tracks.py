@@ -46,6 +46,11 @@ def contact_sheet(path: Path, rows: Mapping[str, tuple[Frames, Array]], columns:
 
 def track_video(path: Path, images: Frames, keypoints: Array, rate: float) -> Path:
     """An .mp4 of images (n, S, S, 3), twice as large, with keypoints (n, K, 3) and where they came from."""
+    return write_video(path, with_tracks(images, keypoints), rate, codec="mp4v")
+
+
+def with_tracks(images: Frames, keypoints: Array) -> Frames:
+    """The images (n, S, S, 3), twice as large, with keypoints (n, K, 3) and where they came from."""
     size = _ZOOM * images.shape[1]
     pixels = to_pixels(keypoints, size)
     drawn = []
@@ -57,4 +62,4 @@ def track_video(path: Path, images: Frames, keypoints: Array, rate: float) -> Pa
             cv2.polylines(canvas, [trail], isClosed=False, color=rgb, thickness=2, lineType=cv2.LINE_AA)
             cv2.circle(canvas, trail[-1].tolist(), 5, rgb, -1, cv2.LINE_AA)
         drawn.append(canvas)
-    return write_video(path, np.array(drawn, np.uint8), rate, codec="mp4v")
+    return np.array(drawn, np.uint8)

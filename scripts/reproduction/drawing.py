@@ -94,6 +94,18 @@ def strips(columns: Mapping[str, tuple[Array, Array, Array]], times: Sequence[in
     return figure
 
 
+def keypoint_paths(axis: Axes, wanted: Array, done: Array) -> None:
+    """Where keypoints should go, dotted, and where they went: z (T+1, 2 K) each, rings at the goals."""
+    for index, colour in zip(range(wanted.shape[1] // 2), COLOURS, strict=False):
+        there, here = (to_pixels(z[:, 2 * index : 2 * index + 2], SIZE) for z in (wanted, done))
+        axis.plot(*there.T, ":", color=colour)
+        axis.plot(*here.T, ".-", color=colour, linewidth=1)
+        axis.scatter(*there[-1], s=60, facecolors="none", edgecolors=colour)
+    axis.set(title="demonstrated (dotted) and done", xlabel="x [pixels]", ylabel="y [pixels]", aspect="equal")
+    axis.invert_yaxis()
+    axis.grid(alpha=0.3)
+
+
 def success(table: Mapping[str, Mapping[str, float]], threshold: str) -> Figure:
     """Success rates: condition -> contender -> share."""
     figure, (axis,) = new_figure(1, 1, width=9.0, height=3.4)

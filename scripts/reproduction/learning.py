@@ -23,58 +23,76 @@ from kpirl_ocp.irl.visual_learning import (
 from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
 from kpirl_ocp.types import Demonstration
 from reproduction.data import Models
+from reproduction.settings import PAPER_LOOP
 from reproduction.sweep import Job, Result
 
-METHODS = (
-    "unrolled",
-    "unrolled, effort learned",
-    "implicit",
-    "implicit, effort learned",
-    "implicit, effort per step",
-    "apprenticeship",
-    "default",
+
+@dataclass(frozen=True)
+class Contender:
+    """A cost family and a method to learn it."""
+
+    cost: str
+    method: str
+
+    @property
+    def label(self) -> str:
+        """As tables and figures name it."""
+        first = {"unrolled": self.cost, "apprenticeship": "Apprenticeship", "default": "Default"}
+        method, *rest = self.method.split(", ")
+        return ", ".join([first.get(method, f"{self.cost}, {method}"), *rest])
+
+    def inner_loop(self, chosen: InnerLoop) -> InnerLoop:
+        """The paper's, or the one that was chosen; it also sets the effort of the converged problem."""
+        return chosen if "more steps" in self.method or "implicit" in self.method else PAPER_LOOP
+
+
+UNROLLED = tuple(Contender(cost, "unrolled") for cost in COSTS)
+MORE_STEPS = tuple(Contender(cost, "unrolled, more steps") for cost in COSTS)
+APPRENTICE = Contender("Weighted", "apprenticeship")
+DEFAULT = Contender("Weighted", "default")  # has nothing to learn
+DEFAULT_MORE_STEPS = Contender("Weighted", "default, more steps")
+IMPLICIT = tuple(Contender(cost, "implicit") for cost in COSTS)
+EFFORT = (  # a single step from u = 0 knows no effort
+    Contender("Weighted", "unrolled, more steps, effort learned"),
+    Contender("Weighted", "implicit, effort learned"),
+    Contender("Weighted", "implicit, effort per step"),
 )
 
 
-def learn(
-    dynamics: NetworkDynamics,
-    demonstrations: Sequence[Demonstration],
-    cost: str,
-    method: str,
-    inner: InnerLoop,
-    iterations: int,
-    seed: int,
-) -> LearnedPlan:
-    """A cost of the family, learned by one of METHODS; "default" has nothing to learn."""
-    rng = np.random.default_rng(seed)
-    if method == "default":
+@dataclass(frozen=True)
+class Lesson:
+    """What is learned and how: outer iterations, and the seed of the starting weights."""
+
+    contender: Contender
+    inner: InnerLoop
+    iterations: int
+    seed: int
+
+
+def learn(dynamics: NetworkDynamics, demonstrations: Sequence[Demonstration], lesson: Lesson) -> LearnedPlan:
+    """A cost of the contender's family."""
+    method, inner, iterations = lesson.contender.method, lesson.inner, lesson.iterations
+    basis, rng = COSTS[lesson.contender.cost], np.random.default_rng(lesson.seed)
+    if method.startswith("default"):
         planned = PlanningCost.default(horizon_of(demonstrations), dynamics.n_z, inner.solver)
         return LearnedPlan(planned, np.array([_mean_loss(dynamics, planned, demonstrations)]), 0, 0.0)
     if method == "apprenticeship":
         return learn_by_apprenticeship(dynamics, demonstrations, inner, iterations, rng)
     if method.startswith("unrolled"):
         effort = "learned" if "effort" in method else None
-        return learn_unrolled(dynamics, demonstrations, COSTS[cost], inner, iterations, rng, effort=effort)
+        return learn_unrolled(dynamics, demonstrations, basis, inner, iterations, rng, effort=effort)
     kinds = {
         "implicit": "fixed",
         "implicit, effort learned": "learned",
         "implicit, effort per step": "learned per step",
     }
-    return learn_implicit(dynamics, demonstrations, COSTS[cost], inner, iterations, rng, effort=kinds[method])
+    return learn_implicit(dynamics, demonstrations, basis, inner, iterations, rng, effort=kinds[method])
 
 
-def learn_or_fail(
-    dynamics: NetworkDynamics,
-    demonstrations: Sequence[Demonstration],
-    cost: str,
-    method: str,
-    inner: InnerLoop,
-    iterations: int,
-    seed: int,
-) -> Result:
+def learn_or_fail(dynamics: NetworkDynamics, demonstrations: Sequence[Demonstration], lesson: Lesson) -> Result:
     """What a job returns of a learned cost (`unpacked` gives it back), or the "failure" that the report will name."""
     try:
-        learned = learn(dynamics, demonstrations, cost, method, inner, iterations, seed)
+        learned = learn(dynamics, demonstrations, lesson)
     except CertificateError as error:
         return {"failure": str(error)}
     return {
@@ -84,12 +102,15 @@ def learn_or_fail(
         "losses": learned.losses,
         "best": learned.best,
         "seconds": learned.seconds,
-        "converged": method.startswith("implicit"),
+        "converged": lesson.contender.method.startswith("implicit"),
+        "steps": lesson.inner.steps,
+        "step_size": lesson.inner.step_size,
     }
 
 
-def unpacked(result: Result, inner: InnerLoop) -> PlanningCost:
-    """The cost in the result of a job."""
+def unpacked(result: Result) -> PlanningCost:
+    """The cost in the result of a job, with the solver that it was learned with."""
+    inner = InnerLoop(int(result["steps"]), float(result["step_size"]))
     solver = CONVERGED if result["converged"] else inner.solver
     return PlanningCost(result["weights"], result["efforts"], solver)
 
@@ -140,7 +161,7 @@ def try_inner_loop(
     for index, demonstration in enumerate(demonstrations):
         others = demonstrations[:index] + demonstrations[index + 1 :]
         try:
-            learned = learn(dynamics, [demonstration], cost, "unrolled", inner, iterations, seed=index)
+            learned = learn(dynamics, [demonstration], Lesson(Contender(cost, "unrolled"), inner, iterations, index))
         except CertificateError:  # NaN: the steps are too long
             found.append((np.inf, np.inf))
             continue

@@ -10,14 +10,16 @@ import numpy as np
 from kpirl_ocp.irl.visual_learning import InnerLoop
 from kpirl_ocp.types import Array
 from reproduction import placing, reaching, robustness
-from reproduction.learning import Tried
-from reproduction.reaching import DEFAULT, Contender
-from reproduction.settings import COSTS, Preset
+from reproduction.learning import APPRENTICE, DEFAULT, DEFAULT_MORE_STEPS, MORE_STEPS, UNROLLED, Contender, Tried
+from reproduction.settings import STARTS, Preset
 from reproduction.sweep import Result
 
-UNROLLED = tuple(Contender(cost, "unrolled") for cost in COSTS)
+# An inner loop's name, what was learned with it, and what that is compared with.
+_LOOPS = (
+    ("one step", UNROLLED, (DEFAULT, APPRENTICE)),
+    ("more steps", MORE_STEPS, (DEFAULT_MORE_STEPS,)),
+)
 _UNSTABLE = 0.05  # share of iterations in which the loss rises
-APPRENTICE = Contender("Weighted", "apprenticeship")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,25 +77,25 @@ class Claim:
 
 def claims(outcome: Outcome) -> list[Claim]:
     """The paper's findings, tested."""
-    found = []
-    for count in outcome.preset.demonstrations:
-        learned = {c.label: _mean(outcome.reaching(c, count, "distance")) for c in UNROLLED}
-        default = _mean(outcome.reaching(DEFAULT, count, "distance"))
-        baseline = _mean(outcome.reaching(APPRENTICE, count, "distance"))
-        found.append(
-            Claim(
-                f"Reaching, {count} demonstration(s): all learned costs end nearer to the goal than Default and "
-                "apprenticeship learning.",
-                max(learned.values()) < min(default, baseline),
-                f"{_list(learned)}; Default {default:.3f}, apprenticeship {baseline:.3f} (relative distance)",
-            )
-        )
-    most = max(outcome.preset.demonstrations)
-    found += [_y_is_small(outcome, contender, most) for contender in UNROLLED]
-    found.append(_unstable(outcome, most))
-    found += [_better_placing(outcome, start) for start in (1, 2)]
+    counts = outcome.preset.demonstrations
+    found = [_nearer(outcome, count, *loop) for loop in _LOOPS for count in counts]
+    found += [_y_is_small(outcome, contender, max(counts)) for contender in UNROLLED]
+    found.append(_unstable(outcome, max(counts)))
+    found += [_better_placing(outcome, start, *loop) for loop in _LOOPS for start in STARTS]
     found += [_x_then_y(outcome, contender) for contender in UNROLLED if contender.cost != "Weighted"]
     return found
+
+
+def _nearer(
+    outcome: Outcome, count: int, loop: str, learned: Sequence[Contender], others: Sequence[Contender]
+) -> Claim:
+    ours, theirs = (
+        {c.label: _mean(outcome.reaching(c, count, "distance")) for c in group} for group in (learned, others)
+    )
+    names = " and ".join(theirs)
+    text = f"Reaching, {count} demonstration(s), {loop}: all learned costs end nearer to the goal than {names}."
+    numbers = f"{_list(ours)}; {_list(theirs)} (relative distance)"
+    return Claim(text, max(ours.values()) < min(theirs.values()), numbers)
 
 
 def restlessness(losses: Sequence[Array]) -> float:
@@ -124,15 +126,19 @@ def _unstable(outcome: Outcome, count: int) -> Claim:
     return Claim(text, baseline > max(_UNSTABLE, 2 * max(ours.values())), numbers)
 
 
-def _better_placing(outcome: Outcome, start: int) -> Claim:
-    errors = {c.label: _mean(outcome.executed(c, start, False, "squared")) for c in (*UNROLLED, DEFAULT)}
-    worst_timed = max(errors["TimeDep"], errors["RBF"])
-    factor = min(errors["Weighted"], errors["Default"]) / worst_timed
+def _better_placing(
+    outcome: Outcome, start: int, loop: str, learned: Sequence[Contender], others: Sequence[Contender]
+) -> Claim:
+    errors = {c: _mean(outcome.executed(c, start, False, "squared")) for c in (*learned, others[0])}
+    timed = max(errors[c] for c in learned if c.cost != "Weighted")
+    factor = min(errors[c] for c in errors if c.cost == "Weighted") / timed  # Weighted and Default
     wanted = 3.0 if start == 1 else 1.0
-    text = f"Placing from start {start}: time-dependent costs beat Weighted and Default" + (
+    text = f"Placing from start {start}, {loop}: time-dependent costs beat Weighted and Default" + (
         " by a factor of three or more." if start == 1 else "."
     )
-    return Claim(text, factor >= wanted, f"{_list(errors)} px²; factor {factor:.2f}")
+    return Claim(
+        text, factor >= wanted, f"{_list({c.label: error for c, error in errors.items()})} px²; factor {factor:.2f}"
+    )
 
 
 def _x_then_y(outcome: Outcome, contender: Contender) -> Claim:

@@ -23,9 +23,20 @@ from kpirl_ocp.perception.posture import UPRIGHT, carry
 from kpirl_ocp.perception.scene import Scene
 from kpirl_ocp.types import Array, Demonstration
 from reproduction.data import HandClip, Models
-from reproduction.learning import learn_or_fail, unpacked
-from reproduction.reaching import DEFAULT, EFFORT, IMPLICIT, Contender, iterations_of
-from reproduction.settings import COSTS, STARTS, Preset
+from reproduction.learning import (
+    DEFAULT,
+    DEFAULT_MORE_STEPS,
+    EFFORT,
+    IMPLICIT,
+    MORE_STEPS,
+    UNROLLED,
+    Contender,
+    Lesson,
+    learn_or_fail,
+    unpacked,
+)
+from reproduction.reaching import iterations_of
+from reproduction.settings import STARTS, Preset
 from reproduction.sweep import Job, Result
 
 RATE = 1  # [Hz] of the robot; the demonstration is read at 5 Hz, its ten steps are the plan's
@@ -33,7 +44,7 @@ SIZE = 240  # of the images [pixels]
 SUCCESS = 8.0  # the middle of the bottle ends within this of its goal [pixels]; 8 are about 31 mm
 _SPREAD, _TILT = 0.015, 0.05  # how exactly the arm is put at its start, at most [m], [rad]
 _WAY_LEFT = 0.4  # of the way to the goal, at start 2
-CONTENDERS = (*(Contender(cost, "unrolled") for cost in COSTS), DEFAULT, *IMPLICIT, *EFFORT)
+CONTENDERS = (*UNROLLED, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT, *EFFORT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,24 +95,16 @@ def setups(models: Models, clips: Sequence[HandClip], seeds: Sequence[int]) -> d
     return {seed: set_up(models, clips[seed % len(clips)], seed) for seed in seeds}
 
 
-def jobs(models: Models, found: dict[int, Setup], inner: InnerLoop, preset: Preset) -> list[Job]:
+def jobs(models: Models, found: dict[int, Setup], chosen: InnerLoop, preset: Preset) -> list[Job]:
     """One for every contender and seed."""
-    return [
-        Job(
-            name_of(contender, seed),
-            run,
-            {
-                "models": models,
-                "demonstration": setup.demonstration,
-                "contender": contender,
-                "inner": inner,
-                "iterations": iterations_of(contender, preset.placing_iterations, preset),
-                "seed": seed,
-            },
-        )
-        for seed, setup in found.items()
-        for contender in CONTENDERS
-    ]
+    made = []
+    for seed, setup in found.items():
+        for contender in CONTENDERS:
+            iterations = iterations_of(contender, preset.placing_iterations, preset)
+            lesson = Lesson(contender, contender.inner_loop(chosen), iterations, seed)
+            arguments = {"models": models, "demonstration": setup.demonstration, "lesson": lesson}
+            made.append(Job(name_of(contender, seed), run, arguments))
+    return made
 
 
 def name_of(contender: Contender, seed: int) -> str:
@@ -109,17 +112,9 @@ def name_of(contender: Contender, seed: int) -> str:
     return f"placing/{contender.cost}-{contender.method.replace(', ', '-').replace(' ', '-')}-{seed}"
 
 
-def run(
-    models: Models,
-    demonstration: Demonstration,
-    contender: Contender,
-    inner: InnerLoop,
-    iterations: int,
-    seed: int,
-) -> Result:
+def run(models: Models, demonstration: Demonstration, lesson: Lesson) -> Result:
     """Learn from the one demonstration."""
-    dynamics = models.load_dynamics("placing")
-    return learn_or_fail(dynamics, [demonstration], contender.cost, contender.method, inner, iterations, seed)
+    return learn_or_fail(models.load_dynamics("placing"), [demonstration], lesson)
 
 
 @dataclass(frozen=True)
@@ -131,7 +126,7 @@ class Condition:
     confidence: float = 0.0
 
 
-def execution_jobs(models: Models, found: dict[int, Setup], learned: dict[str, Result], inner: InnerLoop) -> list[Job]:
+def execution_jobs(models: Models, found: dict[int, Setup], learned: dict[str, Result]) -> list[Job]:
     """Every contender from both starts, in open and in closed loop."""
     return [
         Job(
@@ -140,7 +135,6 @@ def execution_jobs(models: Models, found: dict[int, Setup], learned: dict[str, R
             {
                 "models": models,
                 "learned": learned[name_of(contender, seed)],
-                "inner": inner,
                 "joints": setup.joints[start - 1],
                 "setup": setup,
                 "closed_loop": closed,
@@ -160,11 +154,9 @@ def executed_name(contender: Contender, seed: int, start: int, closed: bool) -> 
     return f"placing-executed/{contender.label.replace(', ', '-').replace(' ', '-')}-{seed}-{start}-{loop}"
 
 
-def execute(
-    models: Models, learned: Result, inner: InnerLoop, joints: Array, setup: Setup, closed_loop: bool
-) -> Result:
+def execute(models: Models, learned: Result, joints: Array, setup: Setup, closed_loop: bool) -> Result:
     """Play it from `joints` (7,) and keep what the camera saw at t = 0, 5 and 10."""
-    done, plant = play(models, learned, inner, joints, setup, closed_loop, Condition(), np.random.default_rng(0))
+    done, plant = play(models, learned, joints, setup, closed_loop, Condition(), np.random.default_rng(0))
     shown = [0, len(plant.images) // 2, len(plant.images) - 1]
     return scores(done, plant, setup) | {
         "images": np.array(plant.images)[shown],
@@ -177,7 +169,6 @@ def execute(
 def play(
     models: Models,
     learned: Result,
-    inner: InnerLoop,
     joints: Array,
     setup: Setup,
     closed_loop: bool,
@@ -186,7 +177,7 @@ def play(
 ) -> tuple[Execution, CameraPlant]:
     """Run a learned cost on the simulated arm."""
     dynamics = _exaggerated(models.load_dynamics("placing"), condition.model_gain)
-    controller = Controller.build(dynamics, unpacked(learned, inner), closed_loop, condition.confidence)
+    controller = Controller.build(dynamics, unpacked(learned), closed_loop, condition.confidence)
     with Scene(rate=RATE) as scene:
         scene.reset(joints)
         plant = CameraPlant(scene, models.load_detector(), condition.disturbance, rng)

@@ -7,7 +7,6 @@ ends when it plays the plan, or plans again after every look.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,36 +18,27 @@ from kpirl_ocp.irl.visual_demonstrations import moving_keypoints, own_demonstrat
 from kpirl_ocp.irl.visual_learning import InnerLoop
 from kpirl_ocp.types import Demonstration, Mask
 from reproduction.data import Models
-from reproduction.learning import learn_or_fail, unpacked
-from reproduction.settings import COSTS, Preset
+from reproduction.learning import (
+    APPRENTICE,
+    DEFAULT,
+    DEFAULT_MORE_STEPS,
+    EFFORT,
+    IMPLICIT,
+    MORE_STEPS,
+    UNROLLED,
+    Contender,
+    Lesson,
+    learn_or_fail,
+    unpacked,
+)
+from reproduction.settings import Preset
 from reproduction.sweep import Job, Result
 
 RATE = 5  # [Hz]
 
 
-@dataclass(frozen=True)
-class Contender:
-    """A cost family and a method to learn it."""
-
-    cost: str
-    method: str
-
-    @property
-    def label(self) -> str:
-        """As tables and figures name it."""
-        short = {"unrolled": self.cost, "apprenticeship": "Apprenticeship", "default": "Default"}
-        return short.get(self.method, f"{self.cost}, {self.method}")
-
-
-PAPER = (*(Contender(cost, "unrolled") for cost in COSTS), Contender("Weighted", "apprenticeship"))
-DEFAULT = Contender("Weighted", "default")
-IMPLICIT = tuple(Contender(cost, "implicit") for cost in COSTS)
-EFFORT = (
-    Contender("Weighted", "unrolled, effort learned"),
-    Contender("Weighted", "implicit, effort learned"),
-    Contender("Weighted", "implicit, effort per step"),
-)
-CONTENDERS = (*PAPER, DEFAULT, *IMPLICIT, *EFFORT)
+PLAYED = (*UNROLLED, APPRENTICE, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS)
+CONTENDERS = (*PLAYED, *IMPLICIT, *EFFORT)
 
 
 def iterations_of(contender: Contender, descent: int, preset: Preset) -> int:
@@ -59,7 +49,7 @@ def iterations_of(contender: Contender, descent: int, preset: Preset) -> int:
 
 
 def jobs(
-    models: Models, tracks: Sequence[ArmTrack], inner: InnerLoop, preset: Preset, seeds: Sequence[int]
+    models: Models, tracks: Sequence[ArmTrack], chosen: InnerLoop, preset: Preset, seeds: Sequence[int]
 ) -> list[Job]:
     """One for every contender, number of demonstrations and seed."""
     dynamics = models.load_dynamics("reaching")
@@ -72,15 +62,13 @@ def jobs(
             first = seed % len(pool)
             train = (pool[first:] + pool[:first])[:count]  # which one is learned from depends on the seed
             for contender in CONTENDERS:
+                iterations = iterations_of(contender, preset.reaching_iterations, preset)
                 arguments = {
                     "models": models,
                     "train": train,
                     "test": test,
                     "moving": moving_keypoints(pool),
-                    "contender": contender,
-                    "inner": inner,
-                    "iterations": iterations_of(contender, preset.reaching_iterations, preset),
-                    "seed": seed,
+                    "lesson": Lesson(contender, contender.inner_loop(chosen), iterations, seed),
                 }
                 found.append(Job(name_of(contender, count, seed), run, arguments))
     return found
@@ -96,17 +84,14 @@ def run(
     train: list[Demonstration],
     test: list[Demonstration],
     moving: Mask,
-    contender: Contender,
-    inner: InnerLoop,
-    iterations: int,
-    seed: int,
+    lesson: Lesson,
 ) -> Result:
     """Learn, and plan for the test demonstrations: their IRL losses and relative distances (n_test,)."""
     dynamics = models.load_dynamics("reaching")
-    learned = learn_or_fail(dynamics, train, contender.cost, contender.method, inner, iterations, seed)
+    learned = learn_or_fail(dynamics, train, lesson)
     if learned["failure"]:
         return learned
-    cost = unpacked(learned, inner)
+    cost = unpacked(learned)
     found = evaluate(planning_problem(dynamics, cost.horizon), cost.solver, cost.psi, test)
     x_of_moving = np.stack([moving, np.zeros_like(moving)], axis=1).ravel()
     planned = [plan.states[:, : dynamics.n_z] for plan in found.solutions]
@@ -120,9 +105,9 @@ def run(
 
 
 def execution_jobs(
-    models: Models, tracks: Sequence[ArmTrack], learned: dict[str, Result], inner: InnerLoop, preset: Preset, seed: int
+    models: Models, tracks: Sequence[ArmTrack], learned: dict[str, Result], preset: Preset, seed: int
 ) -> list[Job]:
-    """Play the paper's contenders, learned from the most demonstrations, on the simulated arm."""
+    """Play the plans of gradient steps, learned from the most demonstrations, on the simulated arm."""
     count = max(preset.demonstrations)
     return [
         Job(
@@ -132,23 +117,22 @@ def execution_jobs(
                 "models": models,
                 "tracks": list(tracks[-preset.tests :]),
                 "learned": learned[name_of(contender, count, seed)],
-                "inner": inner,
                 "closed_loop": closed,
             },
         )
-        for contender in (*PAPER, DEFAULT)
+        for contender in PLAYED
         for closed in (False, True)
         if not learned[name_of(contender, count, seed)]["failure"]
     ]
 
 
-def execute(models: Models, tracks: list[ArmTrack], learned: Result, inner: InnerLoop, closed_loop: bool) -> Result:
+def execute(models: Models, tracks: list[ArmTrack], learned: Result, closed_loop: bool) -> Result:
     """From the start of every test demonstration: relative distances (n_test,) as seen, and tracking errors [rad]."""
     from kpirl_ocp.perception.plant import CameraPlant
     from kpirl_ocp.perception.scene import Scene
 
     dynamics, detector = models.load_dynamics("reaching"), models.load_detector()
-    controller = Controller.build(dynamics, unpacked(learned, inner), closed_loop)
+    controller = Controller.build(dynamics, unpacked(learned), closed_loop)
     distances, errors = [], []
     with Scene(rate=RATE) as scene:
         for track in tracks:

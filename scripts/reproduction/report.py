@@ -11,12 +11,20 @@ import numpy as np
 from kpirl_ocp.irl.study import METHODS as STUDY_METHODS
 from kpirl_ocp.irl.tasks import TASKS
 from kpirl_ocp.types import Array
-from reproduction import drawing, robustness
-from reproduction.outcome import APPRENTICE, DEFAULT, UNROLLED, Outcome, claims, restlessness
+from reproduction import drawing, placing, reaching, robustness
+from reproduction.learning import (
+    APPRENTICE,
+    DEFAULT,
+    DEFAULT_MORE_STEPS,
+    EFFORT,
+    IMPLICIT,
+    MORE_STEPS,
+    UNROLLED,
+    Contender,
+)
+from reproduction.outcome import Outcome, claims, restlessness
 from reproduction.page import Page
-from reproduction.placing import SUCCESS
-from reproduction.reaching import EFFORT, IMPLICIT, Contender
-from reproduction.settings import STARTS
+from reproduction.settings import PAPER_LOOP, STARTS
 
 # Table 1 of the paper: mean and standard deviation of the squared distance, in its own unit.
 _PAPER = {
@@ -29,7 +37,8 @@ _PAPER = {
     (2, "RBF"): (4.40, 0.15),
     (2, "Default"): (15.76, 1.34),
 }
-_TABLE_1 = (*UNROLLED, DEFAULT)
+_TABLE_1 = tuple(zip((*UNROLLED, DEFAULT), (*MORE_STEPS, DEFAULT_MORE_STEPS), strict=True))
+_NEAR = f"{placing.SUCCESS:g} px (31 mm)"
 
 
 def write(page: Page, outcome: Outcome, settings: Mapping[str, Any]) -> None:
@@ -57,9 +66,10 @@ def _findings(page: Page, outcome: Outcome) -> None:
 def _choice(page: Page, outcome: Outcome) -> None:
     page.heading("The inner loop")
     page.text(
-        "N gradient steps of size alpha on the actions. Both were chosen on validation demonstrations that appear "
-        "nowhere else, by the loss below: every cost family learned from one of them and was judged on the others, in "
-        "turn. More steps bring Default nearer to the goal too, without making it follow the demonstration."
+        f"N gradient steps of size alpha on the actions. The paper's own: N = {PAPER_LOOP.steps}, alpha = "
+        f"{PAPER_LOOP.step_size:g}. 'More steps' are chosen on validation demonstrations that appear nowhere else, by "
+        "the loss of the learned costs: every family learned from one of them and was judged on the others, in turn. "
+        "More steps bring Default nearer to the goal too, without making it follow the demonstration."
     )
     for task, candidates in outcome.tried.items():
         rows = [
@@ -97,6 +107,7 @@ def _reaching(page: Page, outcome: Outcome) -> None:
     page.heading("Experiment 1: reaching (paper, section 5.1)")
     counts = outcome.preset.demonstrations
     shown = (*UNROLLED, APPRENTICE)
+    contenders = (*shown, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT)
     panels = {
         f"{count} demonstration(s), train": {c.label: outcome.reaching(c, count, "losses") for c in shown}
         for count in counts
@@ -105,18 +116,19 @@ def _reaching(page: Page, outcome: Outcome) -> None:
     page.figure(
         drawing.curves(
             {
-                f"{n} demonstration(s), implicit": {c.label: outcome.reaching(c, n, "losses") for c in IMPLICIT}
-                for n in counts
+                f"{count} demonstration(s), {name}": {c.cost: outcome.reaching(c, count, "losses") for c in group}
+                for name, group in (("more steps", MORE_STEPS), ("implicit", IMPLICIT))
+                for count in counts
             },
             "IRL loss",
         ),
-        "The same with the converged inner problem and the implicit gradient (L-BFGS)",
+        "The same with more inner steps, and with the converged inner problem and the implicit gradient (L-BFGS)",
     )
     both = {"all dimensions": "distance", "x of moving keypoints": "distance_x"}
     bars = {
         f"{count} demonstration(s), test": {
             c.label: {name: _per_seed(outcome.reaching(c, count, key)) for name, key in both.items()}
-            for c in (*shown, DEFAULT, *IMPLICIT)
+            for c in contenders
         }
         for count in counts
     }
@@ -136,14 +148,13 @@ def _reaching(page: Page, outcome: Outcome) -> None:
             spread(outcome.reaching(c, count, "seconds")),
         ]
         for count in counts
-        for c in (*shown, DEFAULT, *IMPLICIT)
+        for c in contenders
     ]
     header = ["cost, demonstrations", "train loss", "test loss", "rel. distance", "x of moving", "rises", "time [s]"]
     page.table(header, rows, "Mean ± standard deviation over seeds, at the iterate with the lowest training loss.")
     page.text("Played on the simulated arm, first seed:")
     rows = [
-        [c.label, *(cell for loop in ("open", "closed") for cell in _played(outcome, c, loop))]
-        for c in (*shown, DEFAULT)
+        [c.label, *(cell for loop in ("open", "closed") for cell in _played(outcome, c, loop))] for c in reaching.PLAYED
     ]
     page.table(["cost", "open loop", "tracking [mrad]", "closed loop (MPC)", "tracking [mrad]"], rows)
 
@@ -156,7 +167,8 @@ def _played(outcome: Outcome, contender: Contender, loop: str) -> list[str]:
 def _placing(page: Page, outcome: Outcome) -> None:
     page.heading("Experiment 2: placing from one human demonstration (paper, section 5.2)")
     panels = {
-        "unrolled": {c.label: outcome.placing(c, "losses") for c in UNROLLED},
+        "one step": {c.label: outcome.placing(c, "losses") for c in UNROLLED},
+        "more steps": {c.cost: outcome.placing(c, "losses") for c in MORE_STEPS},
         "implicit": {c.cost: outcome.placing(c, "losses") for c in IMPLICIT},
     }
     page.figure(drawing.curves(panels, "IRL loss"), "IRL loss over training on one demonstration")
@@ -171,20 +183,22 @@ def _placing(page: Page, outcome: Outcome) -> None:
                 f"{c.label}, start {start}",
                 spread(outcome.executed(c, start, closed, "squared")),
                 spread(outcome.executed(c, start, closed, "bottle")),
-                f"{100 * (outcome.executed(c, start, closed, 'bottle') <= SUCCESS).mean():.0f} %",
+                f"{100 * (outcome.executed(c, start, closed, 'bottle') <= placing.SUCCESS).mean():.0f} %",
                 f"{1e3 * outcome.executed(c, start, closed, 'tracking_error').mean():.1f}",
                 int(outcome.executed(c, start, closed, "failed_plans").sum()),
             ]
             for start in STARTS
-            for c in (*UNROLLED, DEFAULT, *IMPLICIT, *EFFORT)
+            for c in placing.CONTENDERS
         ]
         header = [f"{loop} loop", "keypoints [px²]", "bottle [px]", "success", "tracking [mrad]", "failed plans"]
-        page.table(header, rows, f"Success: the bottle's middle ends within {SUCCESS:g} px (31 mm) of its goal.")
+        page.table(
+            header, rows, f"Success: the bottle's middle ends within {placing.SUCCESS:g} px (31 mm) of its goal."
+        )
     seed = outcome.seeds[0]
     for start in STARTS:
         columns = {"Demo": _demonstration(outcome, seed)} | {
             c.label: tuple(outcome.executed(c, start, True, key)[0] for key in ("images", "keypoints", "goal"))
-            for c in (DEFAULT, *UNROLLED)
+            for c in (DEFAULT_MORE_STEPS, *MORE_STEPS)
         }
         page.figure(
             drawing.strips(columns, (0, 5, 10)),
@@ -198,33 +212,26 @@ def _demonstration(outcome: Outcome, seed: int) -> tuple[Array, Array, Array]:
 
 
 def _table_1(page: Page, outcome: Outcome) -> None:
-    page.heading("Squared keypoint distance to the goal, beside the paper's Table 1", 3)
+    page.heading("Squared keypoint distance to the goal [px²], beside the paper's Table 1", 3)
     rows: list[list[Any]] = []
     for start in STARTS:
-        base = outcome.executed(DEFAULT, start, False, "squared").mean()
-        for c in _TABLE_1:
-            paper, deviation = _PAPER[(start, c.label)]
-            here = outcome.executed(c, start, False, "squared")
-            closed = outcome.executed(c, start, True, "squared")
+        for one_step, more_steps in _TABLE_1:
+            paper, deviation = _PAPER[(start, one_step.label)]
             share = f"{paper / _PAPER[(start, 'Default')][0]:.2f}"
-            rows.append(
-                [
-                    f"{c.label}, start {start}",
-                    f"{paper} ({deviation})",
-                    share,
-                    spread(here),
-                    f"{here.mean() / base:.2f}",
-                    spread(closed),
-                ]
-            )
-    header = ["cost, start", "paper", "paper / Default", "here, open [px²]", "here / Default", "here, closed [px²]"]
+            rows.append([f"{one_step.label}, start {start}", f"{paper} ({deviation})", share])
+            for contender, default in ((one_step, DEFAULT), (more_steps, DEFAULT_MORE_STEPS)):
+                played, closed = (outcome.executed(contender, start, loop, "squared") for loop in (False, True))
+                base = outcome.executed(default, start, False, "squared").mean()
+                rows[-1] += [spread(played), f"{played.mean() / base:.2f}", spread(closed)]
+    loops = [f"{steps}, {what}" for steps in ("one step", "more steps") for what in ("open", "/ Default", "closed")]
+    header = ["cost, start", "paper", "paper / Default", *loops]
     page.table(header, rows, "The paper does not give the unit of its numbers; compare the ratios.")
 
 
 def _effort(page: Page, outcome: Outcome) -> None:
     page.heading("Beyond the paper: effort weights learned together with keypoint weights")
     count = min(outcome.preset.demonstrations)
-    pairs = (UNROLLED[0], EFFORT[0], IMPLICIT[0], EFFORT[1], EFFORT[2])
+    pairs = (MORE_STEPS[0], EFFORT[0], IMPLICIT[0], EFFORT[1], EFFORT[2])
     rows = [
         [
             c.label,
@@ -250,14 +257,16 @@ def _robustness(page: Page, outcome: Outcome) -> None:
     page.heading("Beyond the paper: robustness")
     page.text(
         f"{outcome.preset.cases} random cases per condition from around start 1. Success: the bottle's middle, which "
-        f"only the simulation knows, ends within {SUCCESS:g} px (31 mm) of where it should."
+        f"only the simulation knows, ends within {_NEAR} of where it should."
     )
     runs = outcome.robust_runs
     rates = {
         condition: {name: float(outcome.robust(condition, *run, "success")) for name, run in runs.items()}
         for condition in robustness.CONDITIONS
     }
-    page.figure(drawing.success(rates, f"within {SUCCESS:g} px"), "Success rates, in closed loop unless said otherwise")
+    page.figure(
+        drawing.success(rates, f"within {placing.SUCCESS:g} px"), "Success rates, in closed loop unless said otherwise"
+    )
     rows = [
         [
             condition,

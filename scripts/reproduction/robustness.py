@@ -6,12 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from kpirl_ocp.irl.visual_learning import InnerLoop
 from kpirl_ocp.ocp.kinematics import Robot
 from kpirl_ocp.perception.plant import Disturbance
 from reproduction.data import Models
+from reproduction.learning import DEFAULT_MORE_STEPS, MORE_STEPS, Contender
 from reproduction.placing import SUCCESS, Condition, Setup, name_of, play, scores
-from reproduction.reaching import DEFAULT, Contender
 from reproduction.sweep import Job, Result
 
 _HIDING = Disturbance(hidden=0, since=4, until=8)
@@ -23,23 +22,15 @@ CONDITIONS: Mapping[str, Condition] = {
     "keypoint hidden": Condition(_HIDING),
     "keypoint hidden, mu used": Condition(_HIDING, confidence=0.7),
 }
-TIME_DEPENDENT = Contender("TimeDep", "unrolled")
-CLOSED = (
-    Contender("Weighted", "unrolled"),
-    TIME_DEPENDENT,
-    Contender("RBF", "unrolled"),
-    Contender("TimeDep", "implicit"),
-    DEFAULT,
-)
+TIME_DEPENDENT = Contender("TimeDep", "unrolled, more steps")
+CLOSED = (*MORE_STEPS, Contender("TimeDep", "implicit"), DEFAULT_MORE_STEPS)
 RUNS = (*((contender, True) for contender in CLOSED), (TIME_DEPENDENT, False))  # the last for comparison
 _NEAR, _FAR = 0.01, 0.12  # how far joints 2, 4 and 6 are from start 1, at most [rad]
 _LIMITS = Robot.iiwa().joint_limits
 _IN_PLANE = np.array([0, 1, 0, 1, 0, 1, 0])
 
 
-def jobs(
-    models: Models, found: dict[int, Setup], learned: dict[str, Result], inner: InnerLoop, cases: int
-) -> list[Job]:
+def jobs(models: Models, found: dict[int, Setup], learned: dict[str, Result], cases: int) -> list[Job]:
     """One for every condition and run whose costs were learned; the cases take the seeds' setups and costs in turn."""
     setups = list(found.items())
     drawn = [setups[case % len(setups)] for case in range(cases)]
@@ -52,7 +43,6 @@ def jobs(
                 "models": models,
                 "setups": [setup for _, setup in drawn],
                 "learned": [learned[name_of(contender, seed)] for seed, _ in drawn],
-                "inner": inner,
                 "condition": CONDITIONS[condition],
                 "far": condition == "another start",
                 "closed_loop": closed,
@@ -78,7 +68,6 @@ def run(
     models: Models,
     setups: list[Setup],
     learned: list[Result],
-    inner: InnerLoop,
     condition: Condition,
     far: bool,
     closed_loop: bool,
@@ -89,7 +78,7 @@ def run(
         rng = np.random.default_rng([case, 11])
         spread = _FAR if far else _NEAR
         joints = np.clip(setup.joints[0] + _IN_PLANE * rng.uniform(-spread, spread, 7), *_LIMITS)
-        done, plant = play(models, cost, inner, joints, setup, closed_loop, condition, rng)
+        done, plant = play(models, cost, joints, setup, closed_loop, condition, rng)
         found = scores(done, plant, setup)
         distances.append(found["bottle"])
         squared.append(found["squared"])

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from kpirl_ocp.irl.visual_learning import InnerLoop
 
-COSTS = ("Weighted", "TimeDep", "RBF")
 STARTS = (1, 2)
+# The paper's inner loop: alpha of section 5, and N of the authors' code, which the paper does not state.
+PAPER_LOOP = InnerLoop(1, 1e-3)
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class Preset:
 
     demonstrations: how many to learn from in experiment 1. tests: held out. validation: demonstrations for the choice
         of the inner loop, of seeds of their own; one is learned from, the others judge, in turn.
-    inner_loops: what the choice is among.
+    inner_loops: what the choice of "more steps" is among.
     *_iterations: outer iterations. study_*: of the simulation study.
     cases: random cases per condition of the robustness study.
     """
@@ -26,7 +27,7 @@ class Preset:
     tests: int = 5
     validation: int = 3
     inner_loops: tuple[InnerLoop, ...] = tuple(
-        InnerLoop(steps, size) for size in (1e-4, 3e-4, 1e-3) for steps in (1, 5, 10, 20)
+        InnerLoop(steps, size) for size in (1e-4, 3e-4, 1e-3) for steps in (5, 10, 20)
     )
     reaching_iterations: int = 300  # 1000 did no better on validation demonstrations
     placing_iterations: int = 5000  # the paper's

@@ -1,0 +1,114 @@
+"""Watch a person place a bottle, learn what mattered, plan, and do it with the simulated arm.
+
+The detector and the dynamics come with the package; the person's video, the arm's start and the starting weights are
+new for every --seed. Writes a picture, a short video and the learned weights. Needs the extra `perception`.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from reproduction.data import HandClip, Models
+from reproduction.drawing import keypoint_paths, strips
+from reproduction.placing import RATE, SIZE, Setup, set_up
+
+from kpirl_ocp import figures
+from kpirl_ocp.episodes import KeypointTrack
+from kpirl_ocp.irl.visual_control import Controller, Execution
+from kpirl_ocp.irl.visual_demonstrations import positions
+from kpirl_ocp.irl.visual_learning import COSTS, InnerLoop, LearnedPlan, learn_unrolled
+from kpirl_ocp.perception.hand import RATE as FILM_RATE
+from kpirl_ocp.perception.hand import HandScene, placing_path
+from kpirl_ocp.perception.plant import CameraPlant
+from kpirl_ocp.perception.scene import Scene
+from kpirl_ocp.perception.tracks import with_tracks
+from kpirl_ocp.perception.video import Frames, every, write_video
+from kpirl_ocp.reporting import output_directory, run, table, write_metrics
+
+INNER = InnerLoop(5, 1e-3)  # chosen by scripts/reproduce_paper.py on validation demonstrations
+DEMONSTRATION_RATE = 5  # [Hz]; two seconds are the ten steps of the plan
+FRAME_RATE = 2  # [Hz] of the video
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cost", choices=list(COSTS), default="TimeDep", help="cost family (default: TimeDep)")
+    parser.add_argument("--iterations", type=int, default=2000, help="outer iterations (default: 2000)")
+    parser.add_argument("--seed", type=int, default=0, help="of person, start and weights (default: 0)")
+    parser.add_argument("--out", default="out/visual", help="directory to write (default: %(default)s)")
+    return parser.parse_args()
+
+
+def watch(models: Models, seed: int) -> tuple[HandClip, Frames]:
+    """A person's demonstration, and its frames (T+1, H, W, 3)."""
+    path = placing_path(np.random.default_rng(seed))
+    with HandScene() as scene:
+        frames = [scene.look(place) for place in path[every(len(path), FILM_RATE, DEMONSTRATION_RATE)]]
+    images = np.array([frame.rgb for frame in frames])
+    track = KeypointTrack(models.load_detector().detect(images), np.arange(len(images)) / DEMONSTRATION_RATE)
+    return HandClip(track, np.array([frame.place for frame in frames]), images[[0, len(images) // 2, -1]]), images
+
+
+def act(models: Models, setup: Setup, learned: LearnedPlan) -> tuple[Execution, CameraPlant]:
+    """Plan, take the first action, look, plan again, to the end."""
+    controller = Controller.build(models.load_dynamics("placing"), learned.cost)
+    with Scene(rate=RATE) as scene:
+        scene.reset(setup.joints[0])
+        plant = CameraPlant(scene, models.load_detector())
+        return controller.run(plant, setup.demonstration.context), plant
+
+
+def draw(learned: LearnedPlan, clip: HandClip, setup: Setup, done: Execution, robot: Frames, out: Path) -> list[Path]:
+    shown = [0, len(robot) // 2, len(robot) - 1]
+    columns = {
+        "person": (clip.images, clip.track.keypoints[shown], positions(clip.track.keypoints[-1])),
+        "robot": (robot[shown], done.keypoints[shown], setup.demonstration.context),
+    }
+    return [
+        figures.save(strips(columns, shown), out / "placing.png"),
+        figures.save(draw_learning(learned, setup, done), out / "learning.png"),
+    ]
+
+
+def draw_learning(learned: LearnedPlan, setup: Setup, done: Execution) -> Figure:
+    figure, (loss_axes, weight_axes, path_axes) = figures.new_figure(1, 3)
+    loss_axes.semilogy(learned.losses, color=figures.COLOURS[0])
+    loss_axes.set(xlabel="outer iteration", ylabel="IRL loss [(image half-widths)²]", title="training loss")
+    loss_axes.grid(alpha=0.3, which="both")
+    figures.weights(weight_axes, learned.cost.weights, "learned weights", dimensions=2)
+    keypoint_paths(path_axes, setup.demonstration.observations, positions(done.keypoints))
+    return figure
+
+
+def main() -> None:
+    args = parse()
+    out, models = output_directory(args.out), Models.find(None)
+    print("watch: a person places a bottle", flush=True)
+    clip, images = watch(models, args.seed)
+    setup = set_up(models, clip, args.seed)
+    print(f"learn: {args.cost} cost, {args.iterations} outer iterations", flush=True)
+    dynamics, rng = models.load_dynamics("placing"), np.random.default_rng(args.seed)
+    learned = learn_unrolled(dynamics, [setup.demonstration], COSTS[args.cost], INNER, args.iterations, rng)
+    print("act:   plan, move, look, plan again", flush=True)
+    done, plant = act(models, setup, learned)
+
+    robot = np.array(plant.images)
+    start, end = (np.linalg.norm(plant.places[i] - setup.goal_place) for i in (0, -1))
+    moved = (positions(done.keypoints) - setup.demonstration.context) * SIZE / 2  # from the goal [pixels]
+    away = np.linalg.norm(moved.reshape(len(moved), -1, 2), axis=-1).mean(axis=1)
+    rows = [["keypoints (mean), as seen", *map(float, away[[0, -1]])], ["bottle, true", float(start), float(end)]]
+    print("\n" + table(["distance to the goal [px]", "at the start", "at the end"], rows))
+    results = {"losses": learned.losses, "keypoints_px": away, "bottle_px": [start, end]}
+    results |= {"weights": learned.cost.weights, "actions": done.actions}
+    print(f"\nIRL loss {learned.losses[0]:.3g} to {learned.losses.min():.3g} in {learned.seconds:.1f} s")
+    print(f"numbers: {write_metrics(out, vars(args), results)}")
+    for path in draw(learned, clip, setup, done, robot, out):
+        print(f"figure:  {path}")
+    both = [with_tracks(images, clip.track.keypoints), with_tracks(robot, done.keypoints)]
+    video = write_video(out / "placing.mp4", np.concatenate(both, axis=2), FRAME_RATE, codec="mp4v")
+    print(f"video:   {video}")
+
+
+if __name__ == "__main__":
+    run(main)
