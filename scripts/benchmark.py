@@ -1,70 +1,95 @@
-"""Time one gradient step of IRL on the iiwa placing problem: loss and gradient, T = 9, three keypoints, one core.
+"""Measure the fast core beside torch, JAX, plain CasADi, Fatrop and Ipopt, on one thread, and hold it against its bars.
 
-Medians over repeats, with the spread from the 10th to the 90th percentile.
+Contenders take turns in one run. Writes benchmark.md, benchmark.png and metrics.json. JAX and torch are optional peers:
+pip install .[bench]. The cache of compiled code is empty at the start, and does not touch the user's.
 """
 
 import argparse
 import os
+import tempfile
 import time
+from pathlib import Path
 
-import numpy as np
+from bench import one_thread  # noqa: F401  before anything that starts threads
 
-from kpirl_ocp import (
-    RBF,
-    GradientDescent,
-    Implicit,
-    KeypointCost,
-    Robot,
-    TimeDependent,
-    Unrolled,
-    Weighted,
-    figures,
-    keypoint_ocp,
+# isort: split
+from bench import (
+    batches,
+    ceilings,
+    compile_times,
+    drawing,
+    growth,
+    hypergradients,
+    iiwa,
+    implicit,
+    machine,
+    memory,
+    real_time,
+    solvers,
 )
-from kpirl_ocp.irl.hypergradient import Hypergradient
-from kpirl_ocp.irl.tasks import as_demonstration, demonstrate
-from kpirl_ocp.reporting import output_directory, run, table, write_metrics
+from bench.bars import bars, table
+from bench.part import Table
+from bench.settings import PRESETS
+
+from kpirl_ocp.reporting import output_directory, run, write_metrics
+
+PARTS = {
+    "ceilings": ceilings.measure,
+    "hypergradients": hypergradients.measure,
+    "batches": batches.measure,
+    "solvers": solvers.measure,
+    "implicit": implicit.measure,
+    "growth": growth.measure,
+    "real_time": real_time.measure,
+    "memory": memory.measure,
+    "compile_times": compile_times.measure,
+    "iiwa": iiwa.measure,
+}
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--preset", choices=list(PRESETS), default="full", help="how much (default: full)")
+    parser.add_argument("--only", choices=list(PARTS), nargs="+", default=list(PARTS), help="parts (default: all)")
+    parser.add_argument("--out", default="out/benchmark", help="directory to write (default: %(default)s)")
+    return parser.parse_args()
+
+
+def measure(names: list[str], preset: str) -> tuple[dict[str, dict], list[Table]]:
+    """Numbers and tables of the parts, each shown as soon as it is done."""
+    numbers: dict[str, dict] = {}
+    tables: list[Table] = []
+    for name in names:
+        print(f"{name} ..", flush=True)
+        started = time.perf_counter()
+        part = PARTS[name](PRESETS[preset])
+        numbers[name] = part.numbers
+        tables += part.tables
+        print("\n\n".join(map(str, part.tables)) + f"\n\n({time.perf_counter() - started:.0f} s)\n", flush=True)
+    return numbers, tables
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=300, help="timed calls per row (default: 300)")
-    parser.add_argument("--out", default="out/benchmark", help="directory to write (default: %(default)s)")
-    args = parser.parse_args()
+    args = parse()
+    out, before = output_directory(args.out), machine.describe()
+    with tempfile.TemporaryDirectory() as cache:
+        os.environ["XDG_CACHE_HOME"] = cache
+        numbers, tables = measure(args.only, args.preset)
+    claims = bars(numbers)
+    tables.append(table(claims))
+    print(f"{tables[-1]}\n")
 
-    robot = Robot.iiwa()
-    demonstration = as_demonstration(robot, demonstrate(robot, "placing", 1, seed=0)[0])
-    rows: list[list[object]] = []
-    results = {}
-    for basis in (Weighted(), TimeDependent(), RBF()):
-        for steps in (1, 5, 20, 100, 0):
-            method: Hypergradient = Unrolled(GradientDescent(steps, 1e-3)) if steps else Implicit()
-            cost = KeypointCost(basis, effort=0.0 if steps else 10.0)
-            problem = keypoint_ocp(robot, cost, 9).unconstrained()
-            psi = cost.initial(9, problem.n_observations)
-            name = f"{type(basis).__name__}, " + (f"unrolled, N = {steps}" if steps else "implicit (Ipopt)")
-            started = time.perf_counter()
-            method(problem, demonstration, psi)
-            first = time.perf_counter() - started
-            times = []
-            for _ in range(args.repeats):
-                started = time.perf_counter()
-                method(problem, demonstration, psi)
-                times.append(time.perf_counter() - started)
-            low, middle, high = 1e3 * np.percentile(times, [10, 50, 90])
-            rows.append([name, f"{middle:.3f}", f"{low:.3f} - {high:.3f}", f"{first:.2f}"])
-            results[name] = {"median_ms": middle, "p10_ms": low, "p90_ms": high, "first_call_s": first}
-    print(table(["loss, gradient and certificate", "median [ms]", "10 - 90 % [ms]", "first call [s]"], rows))
-
-    out = output_directory(args.out)
-    figure, (axis,) = figures.new_figure(1, 1, width=7.5, height=4.0)
-    low, middle, high = (np.array([r[key] for r in results.values()]) for key in ("p10_ms", "median_ms", "p90_ms"))
-    axis.errorbar(middle, list(results), xerr=[middle - low, high - middle], fmt="o", color=figures.COLOURS[0])
-    axis.set(xscale="log", xlabel="time per loss and gradient [ms], median and 10 - 90 %, one core")
-    axis.grid(alpha=0.3, which="both", axis="x")
-    axis.invert_yaxis()
-    settings = vars(args) | {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "unset")}
-    print(f"\nnumbers: {write_metrics(out, settings, results)}\nfigure:  {figures.save(figure, out / 'benchmark.png')}")
+    after = machine.describe()["load"]
+    if max(before["load"][0] - 1, after[0] - 2) > 0.5:
+        print(
+            f"The machine was busy (load {before['load'][0]:.1f} before, {after[0]:.1f} after): times are too long.\n"
+        )
+    settings = vars(args) | {"machine": before | {"load_after": after}}
+    results = numbers | {"bars": [vars(bar) | {"verdict": bar.verdict} for bar in claims]}
+    written = Path(out / "benchmark.md")
+    written.write_text("\n\n".join(map(str, tables)) + "\n")
+    print(f"tables:  {written}\nnumbers: {write_metrics(out, settings, results)}")
+    print(f"figure:  {drawing.draw(numbers, claims, PRESETS[args.preset], out / 'benchmark.png')}")
 
 
 if __name__ == "__main__":

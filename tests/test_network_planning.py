@@ -1,11 +1,8 @@
 """Planning and learning with a network: the passes along a trajectory, and the gradients that are built from them."""
 
-import importlib.util
-import sys
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -157,23 +154,6 @@ def test_unrolled_gradient_with_a_network_is_that_of_ad_and_of_finite_difference
     assert error(found.gradient, differences.gradient) <= 1e-8
     assert found.loss == pytest.approx(differences.loss, rel=1e-13)
     assert found.certificate.certified
-
-
-def test_unrolled_gradient_is_that_of_torch_through_every_step(monkeypatch):
-    pytest.importorskip("torch")
-    path = Path(__file__).parents[1] / "scripts" / "bench" / "peers.py"
-    spec = importlib.util.spec_from_file_location("peers", path)
-    peers = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "peers", peers)
-    spec.loader.exec_module(peers)
-    data = peers.paper_size(horizon=6, steps=5)
-    loss, gradient = peers.torch_create_graph(data)()
-    model = NetworkDynamics(MLP.from_layers(data.weights, data.biases), n_z=8, n_joints=7)
-    problem = network_ocp(model, KeypointCost(TimeDependent()), 6)
-    demonstration = Demonstration(data.s0[0], data.goal[0], data.observed[0])
-    found = Unrolled(GradientDescent(5, data.step_size))(problem, demonstration, data.psi.ravel())
-    assert found.loss == pytest.approx(float(loss), rel=1e-12)
-    assert error(found.gradient, gradient.ravel()) <= 1e-12
 
 
 @pytest.mark.skipif(native._compiler() is None, reason="there is no C compiler")

@@ -19,7 +19,7 @@ TINY = {
     "solve_ocp.py": ["--robot", "panda", "--horizon", "4"],
     "compare_hypergradients.py": ["--problem", "lqr", "--steps", "1", "20", "--iterations", "3"],
     "simulation_study.py": ["--seeds", "0", "--tasks", "placing", "--iterations", "3", "--tests", "1", "--jobs", "1"],
-    "benchmark.py": ["--repeats", "2"],
+    "benchmark.py": ["--preset", "tiny"],
 }
 
 

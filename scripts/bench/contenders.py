@@ -1,0 +1,71 @@
+"""Who can take part: this package, and the peers that are installed."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from bench.problem import N_Q, Data
+from kpirl_ocp import GradientDescent, Unrolled
+from kpirl_ocp.irl.loss import squared_distance
+from kpirl_ocp.irl.unrolled_graph import unrolled_function
+from kpirl_ocp.ocp.calls import Call
+from kpirl_ocp.ocp.native import compiled
+from kpirl_ocp.types import Array
+
+Evaluation = Callable[[], tuple[float, Array]]
+"""Loss and gradient (T, n_z); several demonstrations give the means."""
+Prepare = Callable[[Data], Evaluation]
+
+OURS = "ours"
+ALONE = "ours, compiled function alone"
+NOT_INSTALLED = "not installed: pip install .[bench]"
+# name: module of the peer, what it needs, and its options
+_PEERS = {
+    "torch, create_graph": ("peer_torch", "torch", {}),
+    "plain CasADi": ("peer_casadi", "casadi", {}),
+    "JAX jit, scan": ("peer_jax", "jax", {}),
+    "JAX jit, scan unrolled by 5": ("peer_jax", "jax", {"unroll": 5}),
+}
+JAX = tuple(name for name in _PEERS if name.startswith("JAX"))
+TORCH, PLAIN = "torch, create_graph", "plain CasADi"
+NAMES = (*_PEERS, OURS)
+
+
+def find(name: str) -> Prepare | None:
+    """How a contender gets ready for data; None if it is not installed. Imports it."""
+    if name in (OURS, ALONE):
+        return ours if name == OURS else alone
+    module, needed, options = _PEERS[name]
+    if importlib.util.find_spec(needed) is None:
+        return None
+    return partial(importlib.import_module(f"bench.{module}").unrolled, **options)
+
+
+def ours(data: Data) -> Evaluation:
+    """The public call, with its certificate and audited solution."""
+    method, psi = Unrolled(GradientDescent(data.steps, data.step_size)), data.psi.ravel()
+
+    def evaluate() -> tuple[float, Array]:
+        results = method.together(data.problem, data.demonstrations, psi)
+        gradient = np.mean([result.gradient for result in results], axis=0)
+        return float(np.mean([result.loss for result in results])), gradient.reshape(data.psi.shape)
+
+    return evaluate
+
+
+def alone(data: Data) -> Evaluation:
+    """The compiled function of one demonstration, without checks, audit and certificate around it."""
+    solver, psi = GradientDescent(data.steps, data.step_size), data.psi.ravel()
+    function = Call(compiled(unrolled_function(data.problem, solver, squared_distance, data.steps, False, 1)))
+    actions = np.zeros((data.horizon, N_Q))
+
+    def evaluate() -> tuple[float, Array]:
+        (output,) = function(actions, data.s0[0], psi, data.goal[0], data.observed[0])
+        return float(output[0]), output[4 : 4 + psi.size].reshape(data.psi.shape)
+
+    return evaluate

@@ -1,0 +1,34 @@
+"""Run a script and write how long it compiled: `timed_script.py RESULT SCRIPT ARGUMENTS ..`.
+
+RESULT becomes {"functions": how many were compiled or found in the cache, "compile_s": seconds in `native.compiled`}.
+"""
+
+import json
+import runpy
+import sys
+import time
+from pathlib import Path
+
+import casadi as ca
+
+import kpirl_ocp  # noqa: F401  imports every module that compiles
+from kpirl_ocp.ocp import native
+
+_compiled, spent = native.compiled, []
+
+
+def _timed(function: ca.Function) -> ca.Function:
+    started = time.perf_counter()
+    try:
+        return _compiled(function)
+    finally:
+        spent.append(time.perf_counter() - started)
+
+
+for module in list(sys.modules.values()):
+    if getattr(module, "compiled", None) is _compiled:
+        module.compiled = _timed
+
+result, sys.argv = Path(sys.argv[1]), sys.argv[2:]
+runpy.run_path(sys.argv[0], run_name="__main__")
+result.write_text(json.dumps({"functions": len(spent), "compile_s": sum(spent)}))
