@@ -1,5 +1,6 @@
-# make demo: install, learn a cost on the iiwa, plan with it.   make test: install, lint, type-check, test.
-# make study: the paper's simulation study, both tasks.         make benchmark: timings.
+# make demo: install; watch a person, learn, plan and do it.    make test: install, lint, type-check, test.
+# make paper: all experiments of the paper, with a report.      make study: its simulation study alone.
+# make benchmark: timings beside torch, JAX, Fatrop and Ipopt.
 # make models: camera data, keypoint detector and dynamics at the paper's scale (SEED=0, MODELS=out/models).
 PYTHON ?= $(firstword $(shell command -v python3.11 python3.10 python3))
 BIN := .venv/bin
@@ -11,15 +12,18 @@ MODELS := out/models
 COLLECT = $(BIN)/python scripts/collect_data.py
 DYNAMICS = $(BIN)/python scripts/train_dynamics.py --seed $(SEED) --detector $(MODELS)/detector/detector.json
 
-.PHONY: demo test study benchmark models clean
+.PHONY: demo paper test study benchmark models clean
 
-demo: .venv/installed
-	$(BIN)/python scripts/learn_cost.py --task placing --method implicit --out out/demo
+demo: .venv/installed-perception
+	$(BIN)/python scripts/visual_demo.py --out out/demo
+
+paper: .venv/installed-perception
+	$(BIN)/python scripts/reproduce_paper.py --out out/paper
 
 study: .venv/installed
 	$(BIN)/python scripts/simulation_study.py --out out/study
 
-benchmark: .venv/installed
+benchmark: .venv/installed-bench
 	$(BIN)/python scripts/benchmark.py --out out/benchmark
 
 # Training data has the seed 10 SEED, held-out data 10 SEED + 2; 10 SEED + 1 served development.
@@ -51,6 +55,10 @@ test: .venv/installed-test
 
 .venv/installed-perception: .venv/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[perception]"
+	touch $@
+
+.venv/installed-bench: .venv/installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[bench]"
 	touch $@
 
 .venv/installed-test: .venv/installed

@@ -2,10 +2,10 @@
 
 import argparse
 import itertools
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
+import joblib
 import numpy as np
 from tqdm import tqdm
 
@@ -22,9 +22,11 @@ def run_all(cases: list[tuple[str, int]], settings: StudySettings, jobs: int, ou
     directories = [out / "demonstrations" / f"{task}-{seed}" for task, seed in cases]
     for directory, (task, seed) in zip(directories, cases, strict=True):
         write_demonstrations(directory, Robot.iiwa(), task, settings.tests, seed, settings.horizon)
-    with ProcessPoolExecutor(jobs) as pool:
-        curves = pool.map(run_case, directories, [seed for _, seed in cases], itertools.repeat(settings))
-        return dict(zip(cases, tqdm(curves, total=len(cases), desc="study", unit="case"), strict=True))
+    curves = joblib.Parallel(jobs, return_as="generator")(
+        joblib.delayed(run_case)(directory, seed, settings)
+        for directory, (_, seed) in zip(directories, cases, strict=True)
+    )
+    return dict(zip(cases, tqdm(curves, total=len(cases), desc="study", unit="case"), strict=True))
 
 
 def summary(results: Results) -> list[list[object]]:

@@ -20,6 +20,7 @@ TINY = {
     "compare_hypergradients.py": ["--problem", "lqr", "--steps", "1", "20", "--iterations", "3"],
     "simulation_study.py": ["--seeds", "0", "--tasks", "placing", "--iterations", "3", "--tests", "1", "--jobs", "1"],
     "benchmark.py": ["--preset", "tiny"],
+    "visual_demo.py": ["--iterations", "3"],
 }
 
 

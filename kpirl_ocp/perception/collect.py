@@ -7,12 +7,11 @@ it stopped.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 from tqdm import tqdm
 
@@ -35,10 +34,11 @@ def collect(directory: str | Path, motion: Motion, count: int, seed: int = 0, jo
     directory.mkdir(parents=True, exist_ok=True)
     _agree(directory, count, describe(motion, seed))
     missing = [i for i in range(count) if not episode_path(directory, i).exists()]
-    record = partial(_record, directory, motion, seed)
-    with ProcessPoolExecutor(jobs) as pool:
-        for _ in tqdm(pool.map(record, missing), directory.name, len(missing), unit="episode"):
-            pass
+    written = joblib.Parallel(jobs, return_as="generator_unordered")(
+        joblib.delayed(_record)(directory, motion, seed, index) for index in missing
+    )
+    for _ in tqdm(written, directory.name, len(missing), unit="episode"):
+        pass
     return directory
 
 
