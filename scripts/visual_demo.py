@@ -26,7 +26,7 @@ from kpirl_ocp.perception.tracks import with_tracks
 from kpirl_ocp.perception.video import Frames, every, write_video
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
-INNER = InnerLoop(5, 1e-3)  # chosen by scripts/reproduce_paper.py on validation demonstrations
+INNER = InnerLoop(10, 1e-3)  # chosen by scripts/reproduce_paper.py on validation demonstrations
 DEMONSTRATION_RATE = 5  # [Hz]; two seconds are the ten steps of the plan
 FRAME_RATE = 2  # [Hz] of the video
 

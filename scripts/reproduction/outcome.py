@@ -79,10 +79,10 @@ def claims(outcome: Outcome) -> list[Claim]:
     """The paper's findings, tested."""
     counts = outcome.preset.demonstrations
     found = [_nearer(outcome, count, *loop) for loop in _LOOPS for count in counts]
-    found += [_y_is_small(outcome, contender, max(counts)) for contender in UNROLLED]
+    found += [_y_is_small(outcome, contender, max(counts)) for contender in (*UNROLLED, *MORE_STEPS)]
     found.append(_unstable(outcome, max(counts)))
     found += [_better_placing(outcome, start, *loop) for loop in _LOOPS for start in STARTS]
-    found += [_x_then_y(outcome, contender) for contender in UNROLLED if contender.cost != "Weighted"]
+    found += [_x_then_y(outcome, contender) for contender in (*UNROLLED, *MORE_STEPS) if contender.cost != "Weighted"]
     return found
 
 
