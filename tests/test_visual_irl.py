@@ -57,10 +57,10 @@ def track(start, end, steps=T):
 
 @dataclass
 class LinearPlant:
-    """Follows the linear model, executes only `gain` of every command, and sees nonsense of a keypoint at times."""
+    """Follows the linear model, executes only `gain` of every command, and sees nonsense at times."""
 
     gain: float = 1.0
-    nonsense: tuple = ()  # looks at which the first keypoint is nonsense, with mu = 0.01
+    nonsense: tuple = ()  # looks at which all keypoints are nonsense, and the first has mu = 0.01
     z: np.ndarray = field(default_factory=Z0.copy)
     theta: np.ndarray = field(default_factory=lambda: np.zeros(N_Q))
     looks: int = 0
@@ -68,7 +68,8 @@ class LinearPlant:
     def look(self):
         seen = np.column_stack([self.z.reshape(K, 2), np.full(K, 0.9)])
         if self.looks in self.nonsense:
-            seen[0] = [0.7, -0.7, 0.01]
+            seen[:, :2] = [0.7, -0.7]
+            seen[0, 2] = 0.01
         self.looks += 1
         return Sight(seen, self.theta.copy(), np.zeros(N_Q))
 
@@ -176,7 +177,7 @@ def test_planning_again_makes_up_for_an_arm_that_falls_short(cost, share):
     assert miss(closed=True) < share * miss(closed=False)
 
 
-def test_a_keypoint_that_the_detector_is_not_sure_of_is_predicted_instead():
+def test_where_the_detector_is_not_sure_of_a_keypoint_all_are_predicted_instead():
     calm = Controller.build(DYNAMICS, converged_cost()).run(LinearPlant(), GOAL)
     careful = Controller.build(DYNAMICS, converged_cost(), confidence=0.5).run(LinearPlant(nonsense=(2, 3)), GOAL)
     trusting = Controller.build(DYNAMICS, converged_cost()).run(LinearPlant(nonsense=(2, 3)), GOAL)

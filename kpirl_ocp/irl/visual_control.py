@@ -23,7 +23,7 @@ from kpirl_ocp.irl.visual_costs import PlanningCost, planning_problem
 from kpirl_ocp.irl.visual_demonstrations import positions
 from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.types import Array, Mask, Solution, Trajectory
+from kpirl_ocp.types import Array, Solution, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,8 @@ class Controller:
     """Plans with a learned cost.
 
     cost: its horizon T is the number of actions. closed_loop: plan again after every look.
-    confidence: the model's prediction replaces a keypoint whose mu is below this share of its first one.
+    confidence: the model's prediction replaces what is seen while the mu of any keypoint is below this share of its
+        first one: what hides a keypoint draws others along, whose own mu stays high.
     """
 
     problem: OCP
@@ -140,11 +141,7 @@ class Controller:
         return self.plan(state, goal, steps_taken, self.problem.simulate(state, left, self.cost.psi))
 
     def _believe(self, sights: list[Sight], expected: Array) -> Array:
-        """The keypoints (n_z,) as seen where mu is high enough, else as expected."""
-        sure = confident(sights[-1], sights[0], self.confidence)
-        return np.where(np.repeat(sure, 2), positions(sights[-1].keypoints), expected)
-
-
-def confident(sight: Sight, first: Sight, share: float) -> Mask:
-    """Which keypoints (K,) have at least this share of the mu that they had in the first frame."""
-    return np.asarray(sight.keypoints[:, 2] >= share * first.keypoints[:, 2])
+        """The keypoints (n_z,) as seen, or as expected where mu is too low."""
+        first, last = sights[0].keypoints, sights[-1].keypoints
+        sure = bool(np.all(last[:, 2] >= self.confidence * first[:, 2]))
+        return positions(last) if sure else expected
