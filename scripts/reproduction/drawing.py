@@ -108,7 +108,7 @@ def keypoint_paths(axis: Axes, wanted: Array, done: Array) -> None:
 
 def success(table: Mapping[str, Mapping[str, float]], threshold: str) -> Figure:
     """Success rates: condition -> contender -> share."""
-    figure, (axis,) = new_figure(1, 1, width=9.0, height=3.4)
+    figure, (axis,) = new_figure(1, 1, width=12.0, height=3.6)
     names = list(next(iter(table.values())))
     width = 0.8 / len(names)
     for index, name in enumerate(names):
