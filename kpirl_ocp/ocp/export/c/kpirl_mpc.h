@@ -9,10 +9,9 @@
  * f, l, l_T, h and the number of steps T are compiled in; s_0, the context c (a goal), the parameters psi and the
  * values of the bounds are given at run time. Arrays are dense, time first, one row after the other: states[t * n_s + i].
  *
- *     static union { kpirl_mpc_aligned align; unsigned char bytes[KPIRL_MPC_SIZE]; } memory;
- *     kpirl_mpc *mpc;
+ *     kpirl_mpc *mpc = NULL;
  *     kpirl_mpc_solution plan;
- *     kpirl_mpc_init(&mpc, &memory, sizeof memory);
+ *     kpirl_mpc_init(&mpc, memory, size);                                    (at least kpirl_mpc_size() bytes)
  *     kpirl_mpc_status status = kpirl_mpc_solve(mpc, &(kpirl_mpc_input){.state = s0, .context = goal}, NULL, &plan);
  *     if (kpirl_mpc_ok(status)) command(plan.actions);
  *
@@ -73,20 +72,15 @@ const char *kpirl_mpc_version(void);
 
 typedef struct kpirl_mpc kpirl_mpc;
 
-/* The strictest alignment that a controller's memory needs: what malloc returns has it, and so has this type. */
-typedef union kpirl_mpc_aligned {
-  double number;
-  void *pointer;
-  long long whole;
-} kpirl_mpc_aligned;
-
 /* ---- memory ------------------------------------------------------------------------------------------------- */
 
-/* Bytes that a controller needs, at most KPIRL_MPC_SIZE of the configuration, a constant for static memory. */
+/* Bytes that a controller needs. For static memory include kpirl_mpc_memory.h, which defines the type:
+ *     static kpirl_mpc memory;    ...    kpirl_mpc_init(&mpc, &memory, sizeof memory); */
 size_t kpirl_mpc_size(void);
 
-/* Make a controller in memory of the caller, aligned as kpirl_mpc_aligned, of at least kpirl_mpc_size() bytes. The memory
- * must stay, and must not be moved; there is nothing to release. Bounds, settings and psi are those that were exported. */
+/* Make a controller in memory of the caller, of at least kpirl_mpc_size() bytes, aligned for double, pointers and long
+ * long, as memory from malloc is. It must stay, and must not be moved; there is nothing to release. Bounds, settings
+ * and psi are those that were exported. */
 kpirl_mpc_status kpirl_mpc_init(kpirl_mpc **mpc, void *memory, size_t size);
 
 #ifndef KPIRL_MPC_NO_HEAP
