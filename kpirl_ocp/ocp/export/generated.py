@@ -13,6 +13,7 @@ CasADi writes functions (arg, res, iw, w, mem) with a run-time library in front 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from importlib.resources import files
 
@@ -122,10 +123,13 @@ def _with_kernel(source: str) -> str:
 
 
 def _without_unused(source: str) -> str:
-    """Without private functions that nobody calls."""
-    definition = re.compile(r"^static [^\n;={}]*?(casadi_\w+)\((?:[^\n]*\}\n|.*?\n\}\n)\n*", re.MULTILINE | re.DOTALL)
+    """Without private functions that nobody calls and constants that nobody reads."""
+    function = r"^static [^\n;={}]*?(?P<f>casadi_\w+)\((?:[^\n]*\}\n|.*?\n\}\n)\n*"
+    constant = r"^static const casadi_(?:int|real) (?P<c>casadi_\w+)\[[^;]*;\n"
+    definition = re.compile(f"{function}|{constant}", re.MULTILINE | re.DOTALL)
     while True:
-        unused = [m for m in definition.finditer(source) if len(re.findall(rf"\b{m[1]}\b", source)) == 1]
+        uses = Counter(re.findall(r"\bcasadi_\w+", source))
+        unused = [m for m in definition.finditer(source) if uses[m["f"] or m["c"]] == 1]
         if not unused:
             return source
         for found in reversed(unused):

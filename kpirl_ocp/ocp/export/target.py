@@ -17,6 +17,7 @@ class Target:
     kind: its name in the manifest. functions: to be generated. sources: hand-written files, without prefix.
     workspace: the header among them with the type of the solver's memory. macros: integers that they are compiled with.
     steps, max_iterations, tolerance, barrier: the settings of a new controller; see `kpirl_mpc_settings`.
+    single_tolerance: the tightest tolerance that makes sense in single precision.
     """
 
     kind: str
@@ -28,6 +29,7 @@ class Target:
     max_iterations: int
     tolerance: float
     barrier: float
+    single_tolerance: float
 
 
 def dynamics(problem: OCP) -> ca.Function:

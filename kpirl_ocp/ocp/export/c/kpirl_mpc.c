@@ -52,7 +52,7 @@ const char *kpirl_mpc_message(kpirl_mpc_status status) {
   return "unknown status.";
 }
 
-const char *kpirl_mpc_version(void) { return KPIRL_MPC_VERSION; }
+const char *kpirl_mpc_version(void) { return kpirl_mpc_exported_version; }
 
 /* ---- helpers ------------------------------------------------------------------------------------------------ */
 

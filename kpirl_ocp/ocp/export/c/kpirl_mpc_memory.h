@@ -39,6 +39,7 @@ typedef struct kpirl_mpc_numbers {
 extern const kpirl_mpc_settings kpirl_mpc_exported_settings;
 extern const kpirl_mpc_bounds kpirl_mpc_exported_bounds;
 extern const kpirl_mpc_real kpirl_mpc_exported_psi[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_PARAMETERS)];
+extern const char kpirl_mpc_exported_version[];
 
 /* Call a generated function with `mpc`'s work memory. */
 void kpirl_mpc_call(kpirl_mpc *mpc, kpirl_mpc_function *function, int n_arguments, const kpirl_mpc_real *const *arguments,

@@ -244,6 +244,12 @@ int kpirl_mpc_finite(const kpirl_mpc *mpc) {
          kpirl_mpc_all_finite(d->rows, ROWS);
 }
 
+int kpirl_mpc_matrices_finite(const kpirl_mpc *mpc) {
+  const kpirl_mpc_derivatives *d = &mpc->work.at;
+  return kpirl_mpc_all_finite(d->F, NS * NX * T) && kpirl_mpc_all_finite(d->G, NH * NX * T) &&
+         kpirl_mpc_all_finite(d->H, NX * NX * T) && kpirl_mpc_all_finite(d->H_last, NS * NS);
+}
+
 void kpirl_mpc_residuals(const kpirl_mpc *mpc, real tau, kpirl_mpc_solution *solution) {
   const kpirl_mpc_derivatives *d = &mpc->work.at;
   const real *z = mpc->work.iterate.z;

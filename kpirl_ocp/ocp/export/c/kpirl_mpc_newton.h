@@ -36,6 +36,9 @@ kpirl_mpc_real kpirl_mpc_log_slacks(const kpirl_mpc_real *y);
 /* Is no value and no first derivative NaN or infinite? */
 int kpirl_mpc_finite(const kpirl_mpc *mpc);
 
+/* Are the matrices? */
+int kpirl_mpc_matrices_finite(const kpirl_mpc *mpc);
+
 /* The first-order conditions at the iterate, with complementarity tau. */
 void kpirl_mpc_residuals(const kpirl_mpc *mpc, kpirl_mpc_real tau, kpirl_mpc_solution *solution);
 
