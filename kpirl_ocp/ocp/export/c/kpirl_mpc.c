@@ -188,17 +188,17 @@ kpirl_mpc_status kpirl_mpc_set_bounds(kpirl_mpc *mpc, const real *state_lower, c
 }
 
 kpirl_mpc_status kpirl_mpc_set_parameters(kpirl_mpc *mpc, const real *psi) {
-  if (!mpc || (NP && !psi)) return KPIRL_MPC_ERROR_NULL;
+  if (!mpc || (NP > 0 && !psi)) return KPIRL_MPC_ERROR_NULL;
   if (!is_controller(mpc)) return KPIRL_MPC_ERROR_CONTROLLER;
   if (!kpirl_mpc_all_finite(psi, NP)) return KPIRL_MPC_ERROR_INPUT;
-  if (NP) memcpy(mpc->psi, psi, NP * sizeof(real));
+  if (NP > 0) memcpy(mpc->psi, psi, NP * sizeof(real));
   return KPIRL_MPC_CONVERGED;
 }
 
 /* ---- solving ------------------------------------------------------------------------------------------------ */
 
 static kpirl_mpc_status check_input(const kpirl_mpc *mpc, const kpirl_mpc_input *input, kpirl_mpc_numbers *numbers) {
-  if (!mpc || !input || !input->state || (NC && !input->context)) return KPIRL_MPC_ERROR_NULL;
+  if (!mpc || !input || !input->state || (NC > 0 && !input->context)) return KPIRL_MPC_ERROR_NULL;
   if (!is_controller(mpc)) return KPIRL_MPC_ERROR_CONTROLLER;
   numbers->state = input->state;
   numbers->context = input->context;
@@ -219,7 +219,7 @@ static kpirl_mpc_status check_guess(const kpirl_mpc_guess *guess) {
   if (!kpirl_mpc_all_finite(guess->states, (T + 1) * NS) || !kpirl_mpc_all_finite(guess->actions, T * NU))
     return KPIRL_MPC_ERROR_INPUT;
   if (!has_multipliers(guess)) return KPIRL_MPC_CONVERGED;
-  if (!guess->dynamics || !guess->state_bounds || !guess->action_bounds || (NH && !guess->path))
+  if (!guess->dynamics || !guess->state_bounds || !guess->action_bounds || (NH > 0 && !guess->path))
     return KPIRL_MPC_ERROR_NULL;
   return kpirl_mpc_all_finite(guess->dynamics, T * NS) && kpirl_mpc_all_finite(guess->state_bounds, T * NS) &&
                  kpirl_mpc_all_finite(guess->action_bounds, T * NU) && kpirl_mpc_all_finite(guess->path, T * NH)
@@ -276,7 +276,7 @@ kpirl_mpc_status kpirl_mpc_shift(kpirl_mpc *mpc, const real *psi, kpirl_mpc_solu
   move_up(solution->dynamics, T, NS);
   move_up(solution->state_bounds, T, NS);
   move_up(solution->action_bounds, T, NU);
-  move_up(solution->path, NH ? T : 1, NH);
+  move_up(solution->path, NH > 0 ? T : 1, NH);
   return KPIRL_MPC_CONVERGED;
 }
 

@@ -19,6 +19,7 @@ typedef kpirl_mpc_real real;
 
 static const real KKT_RESIDUAL = (real)1e-6; /* of a plan whose gradient is to be believed */
 
+static real larger(real a, real b) { return a > b ? a : b; }
 static real smaller(real a, real b) { return a < b ? a : b; }
 
 /* Solve the Newton system K v = (slope, 0): the step of newton_step for the gradient r = -slope, without defects, and with
@@ -39,7 +40,7 @@ static void solve_adjoint(kpirl_mpc *mpc, const real *by_states, const real *by_
   memset(d->off, 0, sizeof d->off);
   for (i = 0; i < ROWS; ++i) d->rows[i] = i < ROWS - FORCES ? -work->iterate.y[i] : 0; /* force 0; or z, which r lacks */
   work->tau = 0;
-  for (round = 0; round < (FIXED ? 2 : 1); ++round) {
+  for (round = 0; round < (FIXED > 0 ? 2 : 1); ++round) {
     memcpy(work->iterate.nu, nu, sizeof nu);
     kpirl_mpc_find_step(mpc, 0);
     for (i = 0; i < FIXED; ++i) nu[i] += work->step.change.nu[i];
@@ -100,8 +101,13 @@ kpirl_mpc_status kpirl_mpc_differentiate_plan(kpirl_mpc *mpc, const kpirl_mpc_nu
   (void)guess;
   memset(&found, 0, sizeof found);
   kpirl_mpc_sort_bounds(mpc);
-  work->tau = mpc->settings.barrier > 0 ? mpc->settings.barrier : mpc->settings.tolerance / 10;
-  kpirl_mpc_warm_start(mpc, numbers, &plan, work->tau);
+  if (mpc->settings.barrier > 0) {
+    work->tau = mpc->settings.barrier;
+    kpirl_mpc_stand_at(mpc, numbers, &plan, work->tau);
+  } else {
+    work->tau = mpc->settings.tolerance / 10; /* the smoothed problem's gradient is off by O(tau) */
+    kpirl_mpc_warm_start(mpc, numbers, &plan, work->tau);
+  }
   kpirl_mpc_differentiate(mpc, numbers, 1);
   if (!kpirl_mpc_finite(mpc) || !kpirl_mpc_matrices_finite(mpc)) return KPIRL_MPC_NOT_FINITE;
   kpirl_mpc_residuals(mpc, mpc->settings.barrier, &work->scratch);
@@ -113,5 +119,5 @@ kpirl_mpc_status kpirl_mpc_differentiate_plan(kpirl_mpc *mpc, const kpirl_mpc_nu
   for (i = 1; i < T * NU; ++i) found.pivot = smaller(work->step.pivots[i], found.pivot);
   *gradients = found;
   if (!work->step.positive) return KPIRL_MPC_NOT_A_MINIMUM;
-  return found.residual <= KKT_RESIDUAL ? KPIRL_MPC_CONVERGED : KPIRL_MPC_NOT_SOLVED;
+  return found.residual <= larger(KKT_RESIDUAL, mpc->settings.tolerance) ? KPIRL_MPC_CONVERGED : KPIRL_MPC_NOT_SOLVED;
 }

@@ -75,7 +75,7 @@ static void push(const kpirl_mpc_workspace *work, const kpirl_mpc_iterate *at, r
 static void evaluate_path(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const real *point) {
   const real *arguments[4];
   real *results[3] = {NULL, NULL, NULL};
-  if (!NH) return;
+  if (NH == 0) return;
   arguments[0] = point;
   arguments[1] = point + STATES;
   arguments[2] = numbers->psi;
@@ -126,7 +126,7 @@ static void copy_trajectory(const kpirl_mpc_guess *guess, real *point) {
 void kpirl_mpc_start(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess) {
   kpirl_mpc_workspace *work = &mpc->work;
   kpirl_mpc_iterate *at = &work->iterate;
-  real g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)];
+  real g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)] = {0};
   int i;
   memset(at, 0, sizeof *at);
   if (guess)
@@ -143,7 +143,7 @@ void kpirl_mpc_start(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpi
 void kpirl_mpc_warm_start(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess, real tau) {
   kpirl_mpc_workspace *work = &mpc->work;
   kpirl_mpc_iterate *at = &work->iterate;
-  real g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)], pushing[KPIRL_MPC_N_POINT - KPIRL_MPC_N_STATES];
+  real g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)] = {0}, pushing[KPIRL_MPC_N_POINT - KPIRL_MPC_N_STATES];
   int i;
   copy_trajectory(guess, at->point);
   memmove(at->costates, guess->dynamics, sizeof at->costates);
@@ -159,6 +159,20 @@ void kpirl_mpc_warm_start(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, cons
     const real least = at->z[i] > 0 ? smaller(tau / at->z[i], sqrt(tau)) : sqrt(tau);
     at->y[i] = larger(isnan(g[i]) ? g[i] : larger(-g[i], 0), least);
     at->z[i] = larger(at->z[i], tau / at->y[i]);
+  }
+}
+
+void kpirl_mpc_stand_at(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess, real tau) {
+  kpirl_mpc_workspace *work = &mpc->work;
+  kpirl_mpc_iterate *at = &work->iterate;
+  real g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)] = {0};
+  int i;
+  kpirl_mpc_warm_start(mpc, numbers, guess, tau);
+  evaluate_rows(work, at->point + NS, work->path, g);
+  for (i = 0; i < ROWS; ++i) {
+    if (!(g[i] < 0)) continue;
+    at->y[i] = -g[i];
+    at->z[i] = i < BOUNDS ? tau / at->y[i] : larger(guess->path[i - BOUNDS], 0);
   }
 }
 
@@ -344,7 +358,8 @@ void kpirl_mpc_try(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, real length
   const kpirl_mpc_derivatives *d = &work->at;
   const kpirl_mpc_iterate *at = &work->iterate;
   kpirl_mpc_iterate *trial = &work->trial;
-  real gap[NS], off[KPIRL_MPC_ROOM(KPIRL_MPC_N_FIXED)], g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)], objective;
+  real gap[NS] = {0}, off[KPIRL_MPC_ROOM(KPIRL_MPC_N_FIXED)] = {0}, g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)] = {0};
+  real objective = 0;
   const real *arguments[9], least = REMAINDER * smaller(1 - BOUNDARY, work->tau);
   real *results[4];
   int i, inside = 1;
@@ -376,7 +391,7 @@ void kpirl_mpc_try(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, real length
 void kpirl_mpc_centre(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers) {
   kpirl_mpc_workspace *work = &mpc->work;
   kpirl_mpc_iterate *at = &work->iterate;
-  real g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)];
+  real g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)] = {0};
   int i;
   evaluate_path(mpc, numbers, at->point);
   evaluate_rows(work, at->point + NS, work->path, g);
@@ -399,6 +414,6 @@ void kpirl_mpc_write(const kpirl_mpc *mpc, kpirl_mpc_solution *solution) {
   memcpy(solution->state_bounds, pushing, sizeof solution->state_bounds);
   memcpy(solution->action_bounds, pushing + T * NS, sizeof solution->action_bounds);
   memset(solution->path, 0, sizeof solution->path);
-  if (FORCES) memcpy(solution->path, at->z + BOUNDS, FORCES * sizeof(real));
+  if (FORCES > 0) memcpy(solution->path, at->z + BOUNDS, FORCES * sizeof(real));
   solution->objective = mpc->work.at.objective;
 }
