@@ -100,7 +100,7 @@ def dimensions(problem: OCP) -> dict[str, int]:
 
 def _config(problem: OCP, target: Target) -> str:
     upper = PREFIX.upper()
-    macros = dimensions(problem) | dict(target.macros) | {"MAX_ITERATIONS": target.max_iterations}
+    macros: dict[str, int | str] = {**dimensions(problem), **target.macros} | {"MAX_ITERATIONS": target.max_iterations}
     defined = "\n".join(f"#define {upper}_{name} {value}" for name, value in macros.items())
     return f"""{LICENCE}
 /* Fixed when this controller was exported. */

@@ -15,7 +15,7 @@ class Target:
     """A solver as C.
 
     kind: its name in the manifest. functions: to be generated. sources: hand-written files, without prefix.
-    workspace: the header among them with the type of the solver's memory. macros: integers that they are compiled with.
+    workspace: the header among them with the type of the solver's memory. macros: numbers that they are compiled with.
     steps, max_iterations, tolerance, barrier: the settings of a new controller; see `kpirl_mpc_settings`.
     single_tolerance: the tightest tolerance that makes sense in single precision.
     """
@@ -24,7 +24,7 @@ class Target:
     functions: Sequence[ca.Function]
     sources: Sequence[str]
     workspace: str
-    macros: Mapping[str, int]
+    macros: Mapping[str, int | str]
     steps: int
     max_iterations: int
     tolerance: float

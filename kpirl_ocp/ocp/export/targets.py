@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.export import riccati
+from kpirl_ocp.ocp.export import descent, riccati
 from kpirl_ocp.ocp.export.target import Target
+from kpirl_ocp.ocp.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.riccati import Riccati
 from kpirl_ocp.ocp.solver import Solver
@@ -20,4 +21,6 @@ def target_of(problem: OCP, solver: Solver) -> Target:
     """The solver as C. Raises ProblemError, with the alternatives, for one that cannot be exported."""
     if isinstance(solver, Riccati):
         return riccati.target(problem, solver)
+    if isinstance(solver, GradientDescent):
+        return descent.target(problem, solver)
     raise ProblemError(f"{type(solver).__name__} needs libraries that cannot be exported as C. {ALTERNATIVES}.")
