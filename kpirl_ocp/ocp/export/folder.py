@@ -50,7 +50,7 @@ def export_c(
     _, parameters, _ = problem.inputs(np.zeros(n_s), np.ones(n_psi) if psi is None else psi, np.zeros(n_c))
     pairs = [(np.zeros(n_s), np.zeros(n_c))] if examples is None else examples
     files = _sources(problem, solver, target, parameters)
-    files["test/records.h"] = header([record(problem, solver, parameters, *pair) for pair in pairs])
+    files["test/records.h"] = header([record(problem, solver, parameters, *pair) for pair in pairs], target.counts)
 
     files = {templates.renamed(name, prefix): templates.renamed(text, prefix) for name, text in files.items()}
     files["manifest.json"] = _manifest(problem, solver, target, prefix, parameters, files)

@@ -35,8 +35,8 @@ def record(problem: OCP, solver: Solver, psi: Array, s0: ArrayLike, context: Arr
     return Record(start, goal, after, cold, solver.solve(problem, after, psi, goal, guess=cold))
 
 
-def header(records: Sequence[Record]) -> str:
-    """The records as constants of the C test."""
+def header(records: Sequence[Record], counts: bool) -> str:
+    """The records as constants of the C test; see `Target.counts`."""
     arrays = {
         "state": [r.s0 for r in records],
         "context": [r.context for r in records],
@@ -53,16 +53,17 @@ def header(records: Sequence[Record]) -> str:
         width = max(values[0].size, 1)
         lines.append(f"static const {kind} {name}_{key}[{len(records)}][{width}] = {{\n{rows}}};\n")
     for key, solutions in (("cold", [r.cold for r in records]), ("warm", [r.warm for r in records])):
-        rows = ", ".join(f"{{{code(s.status)}, {s.iterations}}}" for s in solutions)
+        rows = ", ".join(f"{{{code(s.status, counts)}, {s.iterations if counts else -1}}}" for s in solutions)
         lines.append(f"/* status, iterations */\nstatic const int {name}_{key}[{len(records)}][2] = {{{rows}}};\n")
     uses = " + ".join(f"(int)sizeof {name}_{key}" for key in (*arrays, "cold", "warm"))
     lines.append(f"/* A file may use some of them only. */\nenum {{ {name}_bytes = {uses} }};\n")
     return "\n".join([*lines, "#endif\n"])
 
 
-def code(status: Status) -> int:
-    """The value of the C enum, which has Python's order."""
-    return list(Status).index(status)
+def code(status: Status, counts: bool) -> int:
+    """The value of the C enum, which has Python's order; without counts, all ways of giving up are one."""
+    gave_up = status in (Status.ITERATION_LIMIT, Status.STALLED)
+    return list(Status).index(Status.FAILED if gave_up and not counts else status)
 
 
 def numbers(values: Iterable[float]) -> str:

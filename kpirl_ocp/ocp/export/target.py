@@ -18,6 +18,7 @@ class Target:
     workspace: the header among them with the type of the solver's memory. macros: numbers that they are compiled with.
     steps, max_iterations, tolerance, barrier: the settings of a new controller; see `kpirl_mpc_settings`.
     single_tolerance: the tightest tolerance that makes sense in single precision.
+    counts: whether it knows its iterations, and why it stopped.
     """
 
     kind: str
@@ -30,6 +31,7 @@ class Target:
     tolerance: float
     barrier: float
     single_tolerance: float
+    counts: bool = True
 
 
 def dynamics(problem: OCP) -> ca.Function:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.export import descent, riccati
+from kpirl_ocp.ocp.export import descent, riccati, sqp
 from kpirl_ocp.ocp.export.target import Target
 from kpirl_ocp.ocp.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.riccati import Riccati
 from kpirl_ocp.ocp.solver import Solver
+from kpirl_ocp.ocp.sqp import SQP
 
 ALTERNATIVES = (
     "Riccati() iterates until convergence, Riccati(steps=1, barrier=1e-2) is the real-time iteration, "
@@ -23,4 +24,6 @@ def target_of(problem: OCP, solver: Solver) -> Target:
         return riccati.target(problem, solver)
     if isinstance(solver, GradientDescent):
         return descent.target(problem, solver)
+    if isinstance(solver, SQP):
+        return sqp.target(problem, solver)
     raise ProblemError(f"{type(solver).__name__} needs libraries that cannot be exported as C. {ALTERNATIVES}.")
