@@ -23,7 +23,8 @@ from kpirl_ocp.types import Array
 
 FORMAT = 1  # of the folder and its C interface
 _COMMON = [f"{PREFIX}{ending}" for ending in (".h", ".hpp", ".c", "_memory.h")]
-_AROUND = ["CMakeLists.txt", "Makefile", "README.md", "example/main.c", "test/test.c", "test/fuzz.c"]
+_TESTS = [f"test/{name}.c" for name in ("test", "stress", "fuzz", "timing")]
+_AROUND = ["CMakeLists.txt", "Makefile", "README.md", "example/main.c", *_TESTS]
 
 
 def export_c(
