@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+from dataclasses import replace
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -103,6 +104,13 @@ class Controller:
         )
         return Gradients(by_psi, by_start, by_context, np.zeros(0), found.residual), status == 0
 
+    def shift(self, problem: OCP, solution: Solution, psi: ArrayLike = ()) -> Solution:
+        """The guess for the next period: everything one step earlier, the last action again, the last multipliers kept."""
+        plan, parameters = self._plain(solution), self.structures.array(psi).ravel()
+        self._call("shift", self._controller, ctypes.c_void_p(address(parameters)), ctypes.byref(plan))
+        arrays = self._arrays(plan)
+        return replace(solution, trajectory=Trajectory(*arrays[:2]), multipliers=Multipliers(*arrays[2:]))
+
     def set(self, **settings: Any) -> None:
         """Change settings of `kpirl_mpc_settings`, such as tolerance, barrier or steps."""
         current = self.structures.settings()
@@ -170,11 +178,15 @@ class Controller:
                 np.ctypeslib.as_array(getattr(plan, name))[:] = part.ravel()
         return plan
 
-    def _solution(self, found: Any) -> Solution:
-        arrays = [
-            np.array(getattr(found, name), float)[: shape[0] * shape[1]].reshape(shape)
+    def _arrays(self, plan: Any) -> list[Array]:
+        """Trajectory and multipliers, in the order of the structure."""
+        return [
+            np.array(getattr(plan, name), float)[: shape[0] * shape[1]].reshape(shape)
             for name, shape in self.structures.shapes.items()
         ]
+
+    def _solution(self, found: Any) -> Solution:
+        arrays = self._arrays(found)
         residuals = KKTResiduals(
             stationarity=found.stationarity,
             feasibility=found.feasibility,
