@@ -22,17 +22,22 @@ COUNTED = ("-std=c99", "-DCOUNT_ALLOCATIONS", "-Wl,--wrap=malloc,--wrap=calloc,-
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("flags", [(), ("-DKPIRL_MPC_FLOAT",), ("-DKPIRL_MPC_NO_HEAP",)])
-def test_the_recorded_solves_are_reproduced(flags, compiler):
+def test_the_recorded_solves_are_reproduced(compiler):
     out, _ = folder("integrator", CONVERGED)
-    assert "all agree" in built(out, out / "test/test.c", *STRICT, *flags, compiler=compiler)
+    assert "all agree" in built(out, out / "test/test.c", *STRICT, compiler=compiler)
+
+
+@pytest.mark.parametrize("macro", ["FLOAT", "NO_HEAP"])
+def test_other_builds_reproduce_them_too(macro):
+    out, _ = folder("integrator", CONVERGED)
+    assert "all agree" in built(out, out / "test/test.c", *STRICT, f"-DKPIRL_MPC_{macro}")
 
 
 @pytest.mark.parametrize("solver", [CONVERGED, REAL_TIME])
 def test_random_inputs_neither_break_anything_nor_use_the_heap(solver):
     out, _ = folder("integrator", solver)
     built(out, out / "test/stress.c", *SANITIZED)
-    assert "all hold" in ran(out / "stress.out", "1500", "7")
+    assert "all hold" in ran(out / "stress.out", "400", "7")
     built(out, out / "test/stress.c", *COUNTED)
     assert "all hold" in ran(out / "stress.out", "300")
 
@@ -75,12 +80,12 @@ def test_cpp_includes_it_and_has_a_class(tmp_path):
 
 @pytest.mark.skipif(shutil.which("clang") is None, reason="libFuzzer comes with clang")
 def test_a_short_fuzz_finds_nothing():
-    out, _ = folder("integrator", CONVERGED)
+    out, _ = folder("lqr", CONVERGED)
     program = out / "fuzz"
-    flags = ["-std=c99", "-g", "-O1", "-fsanitize=fuzzer,address,undefined", f"-I{out}"]
+    flags = ["-std=c99", "-O0", "-fsanitize=fuzzer,address,undefined", f"-I{out}"]
     sources = [str(out / "test/fuzz.c"), *map(str, out.glob("*.c"))]
     subprocess.run(["clang", *flags, *sources, "-o", str(program), "-lm"], check=True)
-    ran(program, "-runs=300", "-seed=1", "-max_len=512")
+    ran(program, "-runs=100", "-seed=1", "-max_len=512")
 
 
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")
