@@ -16,7 +16,7 @@ from kpirl_ocp.ocp.response import Response
 from kpirl_ocp.ocp.sensitivity import Instance
 from kpirl_ocp.ocp.sqp import SQP
 
-REAL_TIME = Riccati(steps=1, barrier=1e-2)
+CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
 SETTINGS = {
     "converged": (Riccati(), {}),
     "real-time": (REAL_TIME, {"steps": 1, "barrier": 1e-2}),
@@ -24,7 +24,7 @@ SETTINGS = {
 }
 
 
-def controller(name, solver=Riccati(), compiler="gcc", **settings):
+def controller(name, solver=CONVERGED, compiler="gcc", **settings):
     out, case = folder(name, solver)
     loaded = Controller(out, STRICT, compiler)
     if settings:
@@ -152,7 +152,9 @@ def test_another_problem_is_refused():
     longer = replace(case.problem, horizon=case.problem.horizon + 1, schedule=None)
     with pytest.raises(ProblemError, match="horizon"):
         ours.solve(longer, seen.s0, case.psi, seen.context)
-    inputs = [ca.SX.sym(name, case.problem.stage_cost.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d"))]
+    inputs = [
+        ca.SX.sym(name, case.problem.stage_cost.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d"))
+    ]
     dearer = ca.Function("stage_cost", inputs, [2 * case.problem.stage_cost(*inputs)])
     with pytest.raises(ProblemError, match="functions or schedule differ"):
         ours.solve(replace(case.problem, stage_cost=dearer), seen.s0, case.psi, seen.context)

@@ -1,20 +1,20 @@
-"""The exported C by itself: what compilers and sanitizers say, memory, threads, deadlines, and the folder's own tests."""
+"""The exported C by itself: compilers, sanitizers, memory, threads, deadlines, and the folder's own tests."""
 
 import ctypes
-import json
 import hashlib
+import json
 import re
 import shutil
 import subprocess
 
 import numpy as np
 import pytest
-from exported import C, COMPILERS, STRICT, built, folder, ran
+from exported import COMPILERS, STRICT, C, built, folder, ran
+from problems import TABLE
 
 from kpirl_ocp import Riccati
 from kpirl_ocp.ocp.export import Controller, generated
 from kpirl_ocp.ocp.sqp import SQP, program
-from problems import TABLE
 
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
 SANITIZED = ("-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -61,7 +61,17 @@ def test_two_prefixes_link_into_one_program(tmp_path):
         for source in out.glob("*.c"):
             objects.append(str(tmp_path / f"{source.stem}.o"))
             subprocess.run(["gcc", "-std=c99", "-O1", "-c", str(source), "-o", objects[-1]], check=True)
-    command = ["gcc", *STRICT, f"-I{left}", f"-I{right}", str(C / "pair.c"), *objects, "-o", str(tmp_path / "pair"), "-lm"]
+    command = [
+        "gcc",
+        *STRICT,
+        f"-I{left}",
+        f"-I{right}",
+        str(C / "pair.c"),
+        *objects,
+        "-o",
+        str(tmp_path / "pair"),
+        "-lm",
+    ]
     subprocess.run(command, check=True)
     assert ran(tmp_path / "pair").split() == [str(case.problem.n_states) for case in (first, second)]
 

@@ -25,19 +25,16 @@ from kpirl_ocp.types import Array
 def values(problem: OCP) -> ca.Function:
     """(S (n_s, T+1), U (n_u, T), psi, c) -> J, defects f - s_next (n_s, T), path constraints h (n_h, T)."""
     point, _ = _symbols(problem)
-    return ca.Function("stage_values", point, _values(problem, *point))
+    return ca.Function("stage_values", point, _values(problem, point))
 
 
 @lru_cache(maxsize=64)
 def first(problem: OCP) -> ca.Function:
     """(S, U, psi, c, Lambda (n_s, T), M (n_h, T)) -> `values`, gradient of J (n_x, T) and (n_s,), r and r_T (n_s,)."""
     point, dual = _symbols(problem)
-    states, actions, psi, context = point
-    after, *pulled = _value_vjp(problem).map(problem.horizon)(
-        states[:, :-1], actions, _repeat(problem, psi), dual[0]
-    )
-    found = _values(problem, *point, after)
-    outputs = [*found, *_gradients(problem, point, dual, ca.vertcat(*pulled))]
+    states, actions, psi, _ = point
+    after, *pulled = _value_vjp(problem).map(problem.horizon)(states[:, :-1], actions, _repeat(problem, psi), dual[0])
+    outputs = [*_values(problem, point, after), *_gradients(problem, point, dual, ca.vertcat(*pulled))]
     return ca.Function("stage_first", [*point, *dual], outputs)
 
 
@@ -46,7 +43,7 @@ def second(problem: OCP) -> ca.Function:
     """The arguments of `first` -> its outputs, then F, G, H and H_T (n_s, n_s)."""
     point, dual = _symbols(problem)
     *matrices, pulled, after = _matrices(problem, *point, *dual)
-    outputs = [*_values(problem, *point, after), *_gradients(problem, point, dual, pulled), *matrices]
+    outputs = [*_values(problem, point, after), *_gradients(problem, point, dual, pulled), *matrices]
     return ca.Function("stage_second", [*point, *dual], outputs)
 
 
@@ -68,10 +65,9 @@ def _symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX]]:
     return point, [ca.MX.sym("Lambda", n_s, steps), ca.MX.sym("M", problem.n_path, steps)]
 
 
-def _values(
-    problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX, after: ca.MX | None = None
-) -> list[ca.MX]:
+def _values(problem: OCP, point: list[ca.MX], after: ca.MX | None = None) -> list[ca.MX]:
     """J, defects and path constraints; `after` are the columns f(x_t) if they are known."""
+    states, actions, psi, context = point
     if after is None:
         after = problem.dynamics.map(problem.horizon)(states[:, :-1], actions, _repeat(problem, psi))
     cost, path = problem.cost(states, actions, psi, context), problem.path(states, actions, psi, context)

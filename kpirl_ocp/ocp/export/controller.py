@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import json
-from dataclasses import replace
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ class Controller:
     """
 
     def __init__(self, folder: str | Path, flags: Sequence[str] = NATIVE, compiler: str | None = None) -> None:
-        """Build, unless the cache has it, and load. Raises ProblemError if the folder is not a controller of this version."""
+        """Build, unless the cache has it, and load. Raises ProblemError for a folder that is no controller."""
         self.folder = Path(folder)
         self.manifest = _manifest(self.folder)
         self.structures = Structures.of(self.manifest["problem"], any("_FLOAT" in flag for flag in flags))
@@ -81,7 +81,9 @@ class Controller:
         self._use(problem)
         start, kept = self._input(problem, s0, psi, context)
         plan = self._plain(solution)
-        slopes = [self.structures.array(slope) for slope in (problem.as_states(by_states), problem.as_actions(by_actions))]
+        slopes = [
+            self.structures.array(slope) for slope in (problem.as_states(by_states), problem.as_actions(by_actions))
+        ]
         first = None
         if guess is not None:
             first, more = self._guess(problem, guess)
@@ -105,7 +107,7 @@ class Controller:
         return Gradients(by_psi, by_start, by_context, np.zeros(0), found.residual), status == 0
 
     def shift(self, problem: OCP, solution: Solution, psi: ArrayLike = ()) -> Solution:
-        """The guess for the next period: everything one step earlier, the last action again, the last multipliers kept."""
+        """The guess for the next period: all one step earlier, the last action again, the last multipliers kept."""
         plan, parameters = self._plain(solution), self.structures.array(psi).ravel()
         self._call("shift", self._controller, ctypes.c_void_p(address(parameters)), ctypes.byref(plan))
         arrays = self._arrays(plan)
@@ -219,9 +221,13 @@ def _manifest(folder: Path) -> dict[str, Any]:
     try:
         manifest = json.loads(path.read_text())
     except FileNotFoundError:
-        raise ProblemError(f"{path} does not exist: export a controller with export_c or scripts/export_mpc.py.") from None
+        raise ProblemError(
+            f"{path} does not exist: export a controller with export_c or scripts/export_mpc.py."
+        ) from None
     if manifest.get("format") != FORMAT:
-        raise ProblemError(f"{path} has format {manifest.get('format')!r}, this version reads {FORMAT}: export it again.")
+        raise ProblemError(
+            f"{path} has format {manifest.get('format')!r}, this version reads {FORMAT}: export it again."
+        )
     return dict(manifest)
 
 

@@ -118,7 +118,7 @@ def _config(problem: OCP, target: Target) -> str:
 
 def _data(problem: OCP, solver: Solver, target: Target, psi: Array) -> str:
     """The settings, bounds, psi and version that a new controller has."""
-    bounds = ",\n    ".join(numbers(bound) for bound in (*problem.state_bounds, *problem.action_bounds))
+    bounds = ",\n    ".join(numbers(np.asarray(bound)) for bound in (*problem.state_bounds, *problem.action_bounds))
     sizes = ", ".join(f"{name} = {value}" for name, value in dimensions(problem).items())
     described = f"kpirl_ocp {version('kpirl-ocp')}; {solver}; {sizes}".replace('"', "'")
     settings = f"{target.max_iterations}, {target.steps}, {number(target.tolerance)}, {number(target.barrier)}"
@@ -147,9 +147,7 @@ const char {PREFIX}_exported_version[] = "{described}";
 """
 
 
-def _manifest(
-    problem: OCP, solver: Solver, target: Target, prefix: str, psi: Array, files: Mapping[str, str]
-) -> str:
+def _manifest(problem: OCP, solver: Solver, target: Target, prefix: str, psi: Array, files: Mapping[str, str]) -> str:
     """What a Controller checks before it believes in a folder, and what a reader wants to know."""
     bounds = zip(("state", "action"), (problem.state_bounds, problem.action_bounds), strict=True)
     content = {
