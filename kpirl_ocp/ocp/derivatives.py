@@ -25,6 +25,8 @@ class DynamicsDerivatives:
     jacobian: (s, u, psi) -> f_s (n_s, n_s), f_u (n_s, n_u).
     hessian: (s, u, psi, lam) -> second derivative of lam . f with respect to (s, u), (n_s + n_u, n_s + n_u).
     sweeps: (T, B) -> the passes along B trajectories, where something better than stage by stage is known.
+    value_vjp: (s, u, psi, lam) -> f, f_s^T lam, f_u^T lam, where one pass gives all; None: each by itself.
+    expansion: (s, u, psi, lam) -> f, f_s, f_u and the Hessian, likewise.
     """
 
     jvp: ca.Function
@@ -32,6 +34,8 @@ class DynamicsDerivatives:
     jacobian: ca.Function
     hessian: ca.Function
     sweeps: Callable[[int, int], Sweeps] | None = None
+    value_vjp: ca.Function | None = None
+    expansion: ca.Function | None = None
 
     @classmethod
     def by_ad(cls, dynamics: ca.Function) -> DynamicsDerivatives:

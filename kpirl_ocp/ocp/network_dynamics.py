@@ -69,21 +69,23 @@ class NetworkDynamics:
         ds, du, lam = (ca.MX.sym(name, like.numel()) for name, like in (("ds", s), ("du", u), ("lam", s)))
         n_z, n_s = self.n_z, self.n_states
         theta = slice(n_z, n_z + self.n_joints)
-        _, slopes = self.mlp.linearise(ca.vertcat(s, u))
+        y, slopes = self.mlp.linearise(ca.vertcat(s, u))
         moved, _ = push(self.mlp, slopes, ca.vertcat(ds, du))
         pulled, _ = pull(self.mlp, slopes, lam[:n_z])
         rows = ca.vertcat(jacobian(self.mlp, slopes), ca.MX(2 * self.n_joints, self.mlp.n_in))
         linear_s = ca.DM(self._shift(ca.DM.eye(n_s)))
         linear_u = ca.vertcat(ca.DM(n_z, self.n_joints), self._displacement(ca.DM.eye(self.n_joints)))
+        value = self._shift(s) + ca.vertcat(y, self._displacement(u))
+        by_s, by_u = self._shift(lam) + pulled[:n_s], lam[theta] + pulled[n_s:]
+        blocks = [rows[:, :n_s] + linear_s, rows[:, n_s:] + linear_u]
+        curvature = hessian(self.mlp, slopes, lam[:n_z])
         return DynamicsDerivatives(
             jvp=ca.Function("jvp", [s, u, psi, ds, du], [self._shift(ds) + ca.vertcat(moved, self._displacement(du))]),
-            vjp=ca.Function(
-                "vjp",
-                [s, u, psi, lam],
-                [self._shift(lam) + pulled[:n_s], lam[theta] + pulled[n_s:], ca.MX.zeros(n_parameters)],
-            ),
-            jacobian=ca.Function("jacobian", [s, u, psi], [rows[:, :n_s] + linear_s, rows[:, n_s:] + linear_u]),
-            hessian=ca.Function("hessian", [s, u, psi, lam], [hessian(self.mlp, slopes, lam[:n_z])]),
+            vjp=ca.Function("vjp", [s, u, psi, lam], [by_s, by_u, ca.MX.zeros(n_parameters)]),
+            jacobian=ca.Function("jacobian", [s, u, psi], blocks),
+            hessian=ca.Function("hessian", [s, u, psi, lam], [curvature]),
+            value_vjp=ca.Function("value_vjp", [s, u, psi, lam], [value, by_s, by_u]),
+            expansion=ca.Function("expansion", [s, u, psi, lam], [value, *blocks, curvature]),
         )
 
     def _symbols(self, n_parameters: int) -> tuple[ca.MX, ca.MX, ca.MX]:

@@ -25,18 +25,16 @@ from kpirl_ocp.types import Array
 def values(problem: OCP) -> ca.Function:
     """(S (n_s, T+1), U (n_u, T), psi, c) -> J, defects f - s_next (n_s, T), path constraints h (n_h, T)."""
     point, _ = _symbols(problem)
-    return ca.Function("stage_values", point, _values(problem, *point))
+    return ca.Function("stage_values", point, _values(problem, point))
 
 
 @lru_cache(maxsize=64)
 def first(problem: OCP) -> ca.Function:
     """(S, U, psi, c, Lambda (n_s, T), M (n_h, T)) -> `values`, gradient of J (n_x, T) and (n_s,), r and r_T (n_s,)."""
     point, dual = _symbols(problem)
-    by_state, by_action, _ = problem.dynamics_derivatives.vjp.map(problem.horizon)(
-        point[0][:, :-1], point[1], _repeat(problem, point[2]), dual[0]
-    )
-    pulled = ca.vertcat(by_state, by_action)
-    outputs = [*_values(problem, *point), *_gradients(problem, point, dual, pulled)]
+    states, actions, psi, _ = point
+    after, *pulled = _value_vjp(problem).map(problem.horizon)(states[:, :-1], actions, _repeat(problem, psi), dual[0])
+    outputs = [*_values(problem, point, after), *_gradients(problem, point, dual, ca.vertcat(*pulled))]
     return ca.Function("stage_first", [*point, *dual], outputs)
 
 
@@ -44,8 +42,8 @@ def first(problem: OCP) -> ca.Function:
 def second(problem: OCP) -> ca.Function:
     """The arguments of `first` -> its outputs, then F, G, H and H_T (n_s, n_s)."""
     point, dual = _symbols(problem)
-    *matrices, pulled = _matrices(problem, *point, *dual)
-    outputs = [*_values(problem, *point), *_gradients(problem, point, dual, pulled), *matrices]
+    *matrices, pulled, after = _matrices(problem, *point, *dual)
+    outputs = [*_values(problem, point, after), *_gradients(problem, point, dual, pulled), *matrices]
     return ca.Function("stage_second", [*point, *dual], outputs)
 
 
@@ -67,11 +65,13 @@ def _symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX]]:
     return point, [ca.MX.sym("Lambda", n_s, steps), ca.MX.sym("M", problem.n_path, steps)]
 
 
-def _values(problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX) -> list[ca.MX]:
-    before, after = states[:, :-1], states[:, 1:]
-    defects = problem.dynamics.map(problem.horizon)(before, actions, _repeat(problem, psi)) - after
+def _values(problem: OCP, point: list[ca.MX], after: ca.MX | None = None) -> list[ca.MX]:
+    """J, defects and path constraints; `after` are the columns f(x_t) if they are known."""
+    states, actions, psi, context = point
+    if after is None:
+        after = problem.dynamics.map(problem.horizon)(states[:, :-1], actions, _repeat(problem, psi))
     cost, path = problem.cost(states, actions, psi, context), problem.path(states, actions, psi, context)
-    return [cost, ca.densify(defects), ca.densify(path)]
+    return [cost, ca.densify(after - states[:, 1:]), ca.densify(path)]
 
 
 def _gradients(problem: OCP, point: list[ca.MX], dual: list[ca.MX], pulled: ca.MX) -> list[ca.MX]:
@@ -93,29 +93,56 @@ def _gradients(problem: OCP, point: list[ca.MX], dual: list[ca.MX], pulled: ca.M
 def _matrices(
     problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX, costates: ca.MX, forces: ca.MX
 ) -> list[ca.MX]:
-    """F, G, H, H_T and F' lambda."""
+    """F, G, H, H_T, F' lambda and f."""
     steps, schedule = problem.horizon, ca.DM(np.asarray(problem.schedule)).T
     arguments = [states[:, :-1], actions, _repeat(problem, psi), _repeat(problem, context), schedule[:, :steps]]
-    F, G, H, pulled = _stage_matrices(problem).map(steps)(*arguments, costates, forces)
+    F, G, H, pulled, after = _stage_matrices(problem).map(steps)(*arguments, costates, forces)
     last = _terminal(problem)(states[:, -1], psi, context, schedule[:, steps])[1]
-    return [ca.densify(x) for x in (F, G, H, last, pulled)]
+    return [ca.densify(x) for x in (F, G, H, last, pulled, after)]
 
 
 def _repeat(problem: OCP, value: ca.MX) -> ca.MX:
     return ca.repmat(value, 1, problem.horizon)
 
 
+def _value_vjp(problem: OCP) -> ca.Function:
+    """(s, u, psi, lambda) -> f, f_s' lambda, f_u' lambda."""
+    derivatives = problem.dynamics_derivatives
+    if derivatives.value_vjp is not None:
+        return derivatives.value_vjp
+    inputs = _dynamics_symbols(problem)
+    outputs = [problem.dynamics(*inputs[:3]), *derivatives.vjp(*inputs)[:2]]
+    return ca.Function("value_vjp", inputs, outputs)
+
+
+def _expansion(problem: OCP) -> ca.Function:
+    """(s, u, psi, lambda) -> f, f_s, f_u, second derivative of lambda . f."""
+    derivatives = problem.dynamics_derivatives
+    if derivatives.expansion is not None:
+        return derivatives.expansion
+    inputs = _dynamics_symbols(problem)
+    outputs = [problem.dynamics(*inputs[:3]), *derivatives.jacobian(*inputs[:3]), derivatives.hessian(*inputs)]
+    return ca.Function("expansion", inputs, outputs)
+
+
+def _dynamics_symbols(problem: OCP) -> list[ca.MX]:
+    """s, u, psi, lambda."""
+    lengths = (problem.n_states, problem.n_actions, problem.n_parameters, problem.n_states)
+    return [ca.MX.sym(name, length) for name, length in zip(("s", "u", "psi", "lambda"), lengths, strict=True)]
+
+
 def _stage_matrices(problem: OCP) -> ca.Function:
-    """(s, u, psi, c, d, lambda, mu) -> F, G, H and F' lambda of one stage."""
-    derivatives, path = problem.dynamics_derivatives, problem.path_constraint
+    """(s, u, psi, c, d, lambda, mu) -> F, G, H, F' lambda and f of one stage."""
+    path = problem.path_constraint
     point = [ca.MX.sym(name, problem.stage_cost.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d"))]
     costate, force = ca.MX.sym("lambda", problem.n_states), ca.MX.sym("mu", problem.n_path)
-    F = ca.horzcat(*derivatives.jacobian(*point[:3]))
-    H = derivatives.hessian(*point[:3], costate) + _stage_hessian(problem.stage_cost)(*point, 1)
+    after, by_state, by_action, curvature = _expansion(problem)(*point[:3], costate)
+    F = ca.densify(ca.horzcat(by_state, by_action))
+    H = curvature + _stage_hessian(problem.stage_cost)(*point, 1)
     G = ca.MX(0, problem.n_states + problem.n_actions)
     if path is not None:
         G, H = _stage_jacobian(path)(*point), H + _stage_hessian(path)(*point, force)
-    outputs = [ca.densify(x) for x in (F, G, H, ca.densify(F).T @ costate)]
+    outputs = [ca.densify(x) for x in (F, G, H, F.T @ costate, after)]
     return ca.Function("stage_matrices", [*point, costate, force], outputs)
 
 
