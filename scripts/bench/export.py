@@ -51,7 +51,7 @@ def measure(preset: Preset) -> Part:
         numbers[str(horizon)] = found
         rows += [[horizon, name, *_cells(result)] for name, result in found.items()]
     header = ["T", "controller", "median [ms]", "least", "99 %", "worst", "iterations", "library [kB]", "memory [kB]"]
-    title = f"Exported controller, {preset.exported_steps} warm-started steps in closed loop (a tenth of them where they converge)"
+    title = f"Exported controller, {preset.exported_steps} warm-started steps in closed loop (converged: a tenth)"
     note = _compile_times(numbers)
     return Part(numbers, [Table(title, [*header], rows, f"{note}.")])
 
