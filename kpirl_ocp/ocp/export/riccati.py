@@ -23,7 +23,10 @@ def target(problem: OCP, solver: Riccati) -> Target:
     return Target(
         kind="riccati",
         functions=functions,
-        sources=("newton.h", "newton.c", "filter.h", "filter.c", "riccati.h", "riccati.c", "adjoint.c"),
+        sources=[
+            *(f"{name}{end}" for name in ("rows", "start", "newton", "filter", "riccati") for end in (".h", ".c")),
+            "adjoint.c",
+        ],
         workspace="riccati.h",
         macros={
             "MAX_ITERATIONS": solver.max_iterations,

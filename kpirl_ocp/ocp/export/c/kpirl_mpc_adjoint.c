@@ -8,6 +8,8 @@
  * one step of the same Newton system, whose right-hand side is the gradient of L.
  */
 #include "kpirl_mpc_newton.h"
+#include "kpirl_mpc_rows.h"
+#include "kpirl_mpc_start.h"
 
 #include <string.h>
 #include <tgmath.h>

@@ -8,173 +8,24 @@
  * newton_step. A step follows the dynamics (follow): u' = u + alpha du + K (s' - s - alpha ds), s'_next = f(s', u') - (1 - alpha) d.
  */
 #include "kpirl_mpc_newton.h"
+#include "kpirl_mpc_rows.h"
 
 #include <string.h>
 #include <tgmath.h>
 
 enum { NS = KPIRL_MPC_N_STATES, NU = KPIRL_MPC_N_ACTIONS, NX = KPIRL_MPC_N_X, NH = KPIRL_MPC_N_PATH };
 enum { T = KPIRL_MPC_HORIZON, NW = KPIRL_MPC_N_POINT - NS, STATES = (T + 1) * NS };
-enum { LOWER = KPIRL_MPC_N_LOWER, UPPER = KPIRL_MPC_N_UPPER, FIXED = KPIRL_MPC_N_FIXED };
+enum { FIXED = KPIRL_MPC_N_FIXED };
 enum { BOUNDS = KPIRL_MPC_N_BOUNDS, FORCES = KPIRL_MPC_N_FORCES, ROWS = KPIRL_MPC_N_ROWS };
 
 typedef kpirl_mpc_real real;
 
-static const real PUSH = (real)1e-2;      /* how far a cold start is moved inside its bounds, relative to size and distance */
 static const real REMAINDER = (real)0.1;  /* a step along the dynamics may end this much closer to the boundary */
 static const real BOUNDARY = (real)0.99;  /* smallest share of the way to the boundary that a step may go */
 static const real CENTRE = (real)1e10;    /* slack * multiplier stays within this factor of tau */
 
 static real larger(real a, real b) { return a > b ? a : b; }
 static real smaller(real a, real b) { return a < b ? a : b; }
-
-/* A bound of the entries of w, from those of a state and of an action. */
-static real of_entry(const real *state, const real *action, int entry) {
-  return entry < T * NS ? state[entry % NS] : action[(entry - T * NS) % NU];
-}
-
-void kpirl_mpc_sort_bounds(kpirl_mpc *mpc) {
-  kpirl_mpc_workspace *work = &mpc->work;
-  const kpirl_mpc_bounds *bounds = &mpc->bounds;
-  int entry, low = 0, high = 0, fixed = 0;
-  for (entry = 0; entry < NW; ++entry) {
-    const real lower = of_entry(bounds->state_lower, bounds->action_lower, entry);
-    const real upper = of_entry(bounds->state_upper, bounds->action_upper, entry);
-    if (lower == upper) {
-      work->values[fixed] = lower;
-      work->fixed[fixed++] = entry;
-      continue;
-    }
-    if (isfinite(lower)) {
-      work->bounds[low] = lower;
-      work->lower[low++] = entry;
-    }
-    if (isfinite(upper)) {
-      work->bounds[LOWER + high] = upper;
-      work->upper[high++] = entry;
-    }
-  }
-}
-
-/* g at w with path constraints h (T n_h). */
-static void evaluate_rows(const kpirl_mpc_workspace *work, const real *w, const real *path, real *g) {
-  int i;
-  for (i = 0; i < LOWER; ++i) g[i] = work->bounds[i] - w[work->lower[i]];
-  for (i = 0; i < UPPER; ++i) g[LOWER + i] = w[work->upper[i]] - work->bounds[LOWER + i];
-  for (i = 0; i < FORCES; ++i) g[BOUNDS + i] = path[i];
-}
-
-/* Add the gradient of z . g over the bounds, and of nu . w_fixed. */
-static void push(const kpirl_mpc_workspace *work, const kpirl_mpc_iterate *at, real *w) {
-  int i;
-  for (i = 0; i < LOWER; ++i) w[work->lower[i]] -= at->z[i];
-  for (i = 0; i < UPPER; ++i) w[work->upper[i]] += at->z[LOWER + i];
-  for (i = 0; i < FIXED; ++i) w[work->fixed[i]] += at->nu[i];
-}
-
-/* work.path: the path constraints at a point. */
-static void evaluate_path(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const real *point) {
-  const real *arguments[4];
-  real *results[3] = {NULL, NULL, NULL};
-  if (NH == 0) return;
-  arguments[0] = point;
-  arguments[1] = point + STATES;
-  arguments[2] = numbers->psi;
-  arguments[3] = numbers->context;
-  results[2] = mpc->work.path;
-  kpirl_mpc_call(mpc, kpirl_mpc_stage_values, 4, arguments, 3, results);
-}
-
-/* ---- where to start ----------------------------------------------------------------------------------------- */
-
-/* w moved inside its bounds (Waechter and Biegler, 2006, section 3.6), and onto them where they coincide. */
-static void move_inside(const kpirl_mpc *mpc, real *w) {
-  const kpirl_mpc_workspace *work = &mpc->work;
-  const kpirl_mpc_bounds *bounds = &mpc->bounds;
-  int side, i;
-  for (side = 0; side < 2; ++side)
-    for (i = 0; i < (side ? UPPER : LOWER); ++i) {
-      const int entry = side ? work->upper[i] : work->lower[i];
-      const real low = of_entry(bounds->state_lower, bounds->action_lower, entry);
-      const real high = of_entry(bounds->state_upper, bounds->action_upper, entry);
-      const real margin = PUSH * smaller(larger(1, fabs(side ? high : low)), high - low);
-      w[entry] = side ? smaller(w[entry], high - margin) : larger(w[entry], low + margin);
-    }
-  for (i = 0; i < FIXED; ++i) w[work->fixed[i]] = work->values[i];
-}
-
-/* s_0 .. s_T of zero actions. */
-static void roll_out(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, real *point) {
-  const real *arguments[3];
-  real *results[1];
-  int t;
-  memset(point, 0, KPIRL_MPC_N_POINT * sizeof(real));
-  memcpy(point, numbers->state, NS * sizeof(real));
-  for (t = 0; t < T; ++t) {
-    arguments[0] = point + t * NS;
-    arguments[1] = point + STATES + t * NU;
-    arguments[2] = numbers->psi;
-    results[0] = point + (t + 1) * NS;
-    kpirl_mpc_call(mpc, kpirl_mpc_dynamics, 3, arguments, 1, results);
-  }
-}
-
-static void copy_trajectory(const kpirl_mpc_guess *guess, real *point) {
-  memmove(point, guess->states, STATES * sizeof(real));
-  memmove(point + STATES, guess->actions, T * NU * sizeof(real));
-}
-
-void kpirl_mpc_start(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess) {
-  kpirl_mpc_workspace *work = &mpc->work;
-  kpirl_mpc_iterate *at = &work->iterate;
-  real g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)] = {0};
-  int i;
-  memset(at, 0, sizeof *at);
-  if (guess)
-    copy_trajectory(guess, at->point);
-  else
-    roll_out(mpc, numbers, at->point);
-  move_inside(mpc, at->point + NS);
-  evaluate_path(mpc, numbers, at->point);
-  evaluate_rows(work, at->point + NS, work->path, g);
-  for (i = 0; i < BOUNDS; ++i) at->y[i] = -g[i];
-  for (i = BOUNDS; i < ROWS; ++i) at->y[i] = larger(-g[i], PUSH);
-}
-
-void kpirl_mpc_warm_start(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess, real tau) {
-  kpirl_mpc_workspace *work = &mpc->work;
-  kpirl_mpc_iterate *at = &work->iterate;
-  real g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)] = {0}, pushing[KPIRL_MPC_N_POINT - KPIRL_MPC_N_STATES];
-  int i;
-  copy_trajectory(guess, at->point);
-  memmove(at->costates, guess->dynamics, sizeof at->costates);
-  memcpy(pushing, guess->state_bounds, T * NS * sizeof(real));
-  memcpy(pushing + T * NS, guess->action_bounds, T * NU * sizeof(real));
-  for (i = 0; i < FIXED; ++i) at->nu[i] = pushing[work->fixed[i]];
-  for (i = 0; i < LOWER; ++i) at->z[i] = larger(-pushing[work->lower[i]], 0);
-  for (i = 0; i < UPPER; ++i) at->z[LOWER + i] = larger(pushing[work->upper[i]], 0);
-  for (i = 0; i < FORCES; ++i) at->z[BOUNDS + i] = larger(guess->path[i], 0);
-  evaluate_path(mpc, numbers, at->point);
-  evaluate_rows(work, at->point + NS, work->path, g);
-  for (i = 0; i < ROWS; ++i) {
-    const real least = at->z[i] > 0 ? smaller(tau / at->z[i], sqrt(tau)) : sqrt(tau);
-    at->y[i] = larger(isnan(g[i]) ? g[i] : larger(-g[i], 0), least);
-    at->z[i] = larger(at->z[i], tau / at->y[i]);
-  }
-}
-
-void kpirl_mpc_stand_at(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess, real tau) {
-  kpirl_mpc_workspace *work = &mpc->work;
-  kpirl_mpc_iterate *at = &work->iterate;
-  real g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)] = {0};
-  int i;
-  kpirl_mpc_warm_start(mpc, numbers, guess, tau);
-  evaluate_rows(work, at->point + NS, work->path, g);
-  for (i = 0; i < ROWS; ++i) {
-    if (!(g[i] < 0)) continue;
-    at->y[i] = -g[i];
-    at->z[i] = i < BOUNDS ? tau / at->y[i] : larger(guess->path[i - BOUNDS], 0);
-  }
-}
 
 /* ---- what is known at an iterate ---------------------------------------------------------------------------- */
 
@@ -201,7 +52,7 @@ static void evaluate_constraints(kpirl_mpc_workspace *work, const kpirl_mpc_numb
   int i;
   for (i = 0; i < NS; ++i) gap[i] = numbers->state[i] - point[i];
   for (i = 0; i < FIXED; ++i) off[i] = point[NS + work->fixed[i]] - work->values[i];
-  evaluate_rows(work, point + NS, work->path, rows);
+  kpirl_mpc_evaluate_rows(work, point + NS, work->path, rows);
 }
 
 /* The largest of the gradient of the objective, the costates, the path multipliers, and 1. */
@@ -244,7 +95,7 @@ void kpirl_mpc_differentiate(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, i
     kpirl_mpc_call(mpc, kpirl_mpc_stage_first, 6, arguments, 7, results);
   by_time(work->columns, work->last, d->cost_gradient);
   by_time(d->r, d->r_last, d->gradient);
-  push(work, at, d->gradient + NS);
+  kpirl_mpc_push(work, at, d->gradient + NS);
   evaluate_constraints(work, numbers, at->point, d->gap, d->off, d->rows);
   d->scale = scale_of(d, at);
   d->violation = absolute_sum(d->defects, T * NS) + absolute_sum(d->gap, NS) + absolute_sum(d->off, FIXED);
@@ -393,8 +244,8 @@ void kpirl_mpc_centre(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers) {
   kpirl_mpc_iterate *at = &work->iterate;
   real g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)] = {0};
   int i;
-  evaluate_path(mpc, numbers, at->point);
-  evaluate_rows(work, at->point + NS, work->path, g);
+  kpirl_mpc_evaluate_path(mpc, numbers, at->point);
+  kpirl_mpc_evaluate_rows(work, at->point + NS, work->path, g);
   for (i = 0; i < ROWS; ++i) {
     real centred;
     at->y[i] = isnan(g[i]) ? g[i] : larger(at->y[i], -g[i]);
@@ -407,7 +258,7 @@ void kpirl_mpc_centre(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers) {
 void kpirl_mpc_write(const kpirl_mpc *mpc, kpirl_mpc_solution *solution) {
   const kpirl_mpc_iterate *at = &mpc->work.iterate;
   real pushing[KPIRL_MPC_N_POINT - KPIRL_MPC_N_STATES] = {0};
-  push(&mpc->work, at, pushing);
+  kpirl_mpc_push(&mpc->work, at, pushing);
   memcpy(solution->states, at->point, sizeof solution->states);
   memcpy(solution->actions, at->point + STATES, sizeof solution->actions);
   memcpy(solution->dynamics, at->costates, sizeof solution->dynamics);

@@ -6,6 +6,8 @@
  */
 #include "kpirl_mpc_filter.h"
 #include "kpirl_mpc_newton.h"
+#include "kpirl_mpc_rows.h"
+#include "kpirl_mpc_start.h"
 
 #include <string.h>
 #include <tgmath.h>
