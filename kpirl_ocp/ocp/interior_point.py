@@ -141,9 +141,11 @@ def _condense(n_x: int, n_h: int) -> ca.Function:
     H, G = ca.MX.sym("H", n_x, n_x), ca.MX.sym("G", n_h, n_x)
     r, stiffness = ca.MX.sym("r", n_x), ca.MX.sym("stiffness", n_x)
     weights, force = ca.MX.sym("weights", n_h), ca.MX.sym("force", n_h)
-    outputs = [H + ca.diag(stiffness), r]
+    condensed = ca.MX(H)
+    condensed.nz[:: n_x + 1] = H.nz[:: n_x + 1] + stiffness
+    outputs = [condensed, r]
     if n_h:
-        outputs = [outputs[0] + G.T @ (ca.repmat(weights, 1, n_x) * G), r + G.T @ force]
+        outputs = [ca.mac(G.T, ca.repmat(weights, 1, n_x) * G, condensed), ca.mac(force.T, G, r.T).T]
     return ca.Function("condense", [H, r, G, stiffness, weights, force], outputs)
 
 

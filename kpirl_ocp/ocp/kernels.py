@@ -64,6 +64,34 @@ static inline __attribute__((always_inline)) void casadi_panel(const int columns
   }
 }
 
+/* z += y' x: sums along the columns of y, four of them side by side */
+static inline void casadi_row(const casadi_real* x, casadi_int count, const casadi_real* y, casadi_int ncol_y,
+    casadi_real* z) {
+  casadi_int i, k;
+  int c, lane;
+  for (i = 0; i < ncol_y; i += 4, y += 4 * count, z += 4) {
+    const int columns = ncol_y - i < 4 ? (int) (ncol_y - i) : 4;
+    tile_vector sum[4] = {{0}};
+    casadi_real rest[4] = {0};
+    if (columns == 4) {
+      for (k = 0; k + TILE_LANES <= count; k += TILE_LANES)
+        UNROLL for (c = 0; c < 4; ++c) sum[c] += *(const tile_vector*) (x + k) * *(const tile_vector*) (y + k + c * count);
+      for (; k < count; ++k)
+        UNROLL for (c = 0; c < 4; ++c) rest[c] += x[k] * y[k + c * count];
+    } else {
+      for (c = 0; c < columns; ++c) {
+        for (k = 0; k + TILE_LANES <= count; k += TILE_LANES)
+          sum[c] += *(const tile_vector*) (x + k) * *(const tile_vector*) (y + k + c * count);
+        for (; k < count; ++k) rest[c] += x[k] * y[k + c * count];
+      }
+    }
+    for (c = 0; c < columns; ++c) {
+      UNROLL for (lane = 0; lane < TILE_LANES; ++lane) rest[c] += sum[c][lane];
+      z[c] += rest[c];
+    }
+  }
+}
+
 static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
     const casadi_real* y, casadi_int ncol_y, casadi_real* z, casadi_int tr) {
   casadi_int i = 0, j, k;
@@ -76,6 +104,8 @@ static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_
     PANELS(2, TILE_VECTORS * 2)
     PANELS(1, TILE_VECTORS * 2)
 #undef PANELS
+  } else if (!tr && nrow_x == 1) {
+    casadi_row(x, ncol_x, y, ncol_y, z);
   } else if (!tr) {
     for (; i < ncol_y; ++i)
       for (k = 0; k < ncol_x; ++k)
