@@ -63,9 +63,10 @@ def test_products_with_stage_matrices_are_those_with_derivatives_of_the_whole_pr
 def test_stage_functions_take_the_derivatives_that_a_problem_brings():
     case = network("tanh")
     given = DynamicsDerivatives.by_ad(case.problem.dynamics)
-    asked = [ca.MX.sym(f"x{i}", given.hessian.size1_in(i)) for i in range(4)]
-    marked = ca.Function("hessian", asked, [given.hessian(*asked) + 1])
-    problem = replace(case.problem, derivatives=replace(given, hessian=marked))
+    asked = [ca.MX.sym(f"x{i}", given.second.size1_in(i)) for i in range(4)]
+    *others, hessian = given.second(*asked)
+    marked = ca.Function("second", asked, [*others, hessian + 1])
+    problem = replace(case.problem, derivatives=replace(given, second=marked))
     instance, point = random_point(case)
     arguments = (*instance.at(point.w), point.costates, np.zeros(0))
     plain, other = (call(p, stages.second)(*arguments)[9] for p in (case.problem, problem))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.derivatives import DynamicsDerivatives
-from kpirl_ocp.ocp.network import MLP, hessian, jacobian, pull, push
+from kpirl_ocp.ocp.network import MLP, hessian, jacobian, pull, push, second
 from kpirl_ocp.types import Array
 
 
@@ -69,12 +69,16 @@ class NetworkDynamics:
         ds, du, lam = (ca.MX.sym(name, like.numel()) for name, like in (("ds", s), ("du", u), ("lam", s)))
         n_z, n_s = self.n_z, self.n_states
         theta = slice(n_z, n_z + self.n_joints)
-        _, slopes = self.mlp.linearise(ca.vertcat(s, u))
+        y, slopes = self.mlp.linearise(ca.vertcat(s, u))
         moved, _ = push(self.mlp, slopes, ca.vertcat(ds, du))
         pulled, _ = pull(self.mlp, slopes, lam[:n_z])
         rows = ca.vertcat(jacobian(self.mlp, slopes), ca.MX(2 * self.n_joints, self.mlp.n_in))
         linear_s = ca.DM(self._shift(ca.DM.eye(n_s)))
         linear_u = ca.vertcat(ca.DM(n_z, self.n_joints), self._displacement(ca.DM.eye(self.n_joints)))
+        value = self._shift(s) + ca.vertcat(y, self._displacement(u))
+        slope, curvature = second(self.mlp, slopes, lam[:n_z])
+        F = ca.MX(ca.densify(ca.horzcat(linear_s, linear_u)))
+        F[:n_z, :] = slope + ca.horzcat(linear_s, linear_u)[:n_z, :]
         return DynamicsDerivatives(
             jvp=ca.Function("jvp", [s, u, psi, ds, du], [self._shift(ds) + ca.vertcat(moved, self._displacement(du))]),
             vjp=ca.Function(
@@ -84,6 +88,7 @@ class NetworkDynamics:
             ),
             jacobian=ca.Function("jacobian", [s, u, psi], [rows[:, :n_s] + linear_s, rows[:, n_s:] + linear_u]),
             hessian=ca.Function("hessian", [s, u, psi, lam], [hessian(self.mlp, slopes, lam[:n_z])]),
+            second=ca.Function("second", [s, u, psi, lam], [value, F, curvature]),
         )
 
     def _symbols(self, n_parameters: int) -> tuple[ca.MX, ca.MX, ca.MX]:
