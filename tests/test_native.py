@@ -90,6 +90,27 @@ def test_a_dense_product_lets_nan_and_infinity_through_in_their_own_entries(cach
 
 
 @needs_compiler
+@pytest.mark.parametrize("size", [1e-300, 1e-10, 1e-3, 0.1, 0.35, 1.0, 3.0, 30.0, 1e300])
+def test_tanh_of_an_array_is_within_two_units_in_the_last_place(cache, size):
+    x = ca.MX.sym("x", 1003)  # no whole number of vectors
+    points = np.random.default_rng(0).uniform(-size, size, 1003)
+    found = np.array(native.compiled(ca.Function("bend", [x], [ca.tanh(x)]))(points)).ravel()
+    exact = np.tanh(points.astype(np.longdouble)).astype(float)
+    assert np.max(np.abs(found - exact) / np.spacing(np.abs(exact))) <= 2
+    assert np.abs(found).max() <= 1
+
+
+@needs_compiler
+def test_tanh_of_an_array_keeps_nan_infinity_and_the_sign_of_zero(cache):
+    x = ca.MX.sym("x", 7)
+    compiled = native.compiled(ca.Function("bend", [x], [ca.tanh(x)]))
+    found = np.array(compiled([np.nan, np.inf, -np.inf, 0.0, -0.0, np.nan, -1000.0])).ravel()
+    np.testing.assert_array_equal(found, [np.nan, 1, -1, 0, 0, np.nan, -1])
+    assert np.signbit(found[4])
+    assert not np.signbit(found[3])
+
+
+@needs_compiler
 def test_generated_products_and_copies_use_the_kernels_of_this_package(cache):
     x = ca.MX.sym("x", 20, 20)
     generator = ca.CodeGenerator("product.c")
@@ -98,6 +119,7 @@ def test_generated_products_and_copies_use_the_kernels_of_this_package(cache):
     assert before.count("void casadi_mtimes_dense(") == after.count("void casadi_mtimes_dense(") == 1
     assert "casadi_tile" in after
     assert "memmove" in after
+    assert "casadi_tanh" not in after
     nothing = ca.CodeGenerator("nothing.c")
     assert with_fast_kernels(nothing.dump()) == nothing.dump()
 

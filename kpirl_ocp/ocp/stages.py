@@ -45,9 +45,9 @@ def first(problem: OCP) -> ca.Function:
     pulled, path = ca.vertcat(*pulled[:2]), problem.path(*point)
     if problem.path_constraint is not None:
         pulled += _stage_gradient(problem.path_constraint).map(steps)(*_arguments(problem, *point), forces)
-    slopes = [ca.vertcat(by_states[:, :steps], by_actions), by_states[:, steps]]
-    lagrangian = _lagrangian(problem, *slopes, pulled, costates)
-    outputs = [total, arrived - states[:, 1:], path, *slopes, *lagrangian]
+    slope, last_slope = ca.vertcat(by_states[:, :steps], by_actions), by_states[:, steps]
+    lagrangian = _lagrangian(problem, slope, last_slope, pulled, costates)
+    outputs = [total, arrived - states[:, 1:], path, slope, last_slope, *lagrangian]
     return ca.Function("stage_first", [*point, *dual], [ca.densify(x) for x in outputs])
 
 
@@ -55,17 +55,16 @@ def first(problem: OCP) -> ca.Function:
 def second(problem: OCP) -> ca.Function:
     """The arguments of `first` -> its outputs, then F, G, H and H_T (n_s, n_s)."""
     point, dual = _symbols(problem)
-    (states, actions, psi, context), (costates, forces), steps = point, dual, problem.horizon
+    (states, _, psi, context), (costates, forces), steps = point, dual, problem.horizon
     theta = TrajectoryCost(problem, 1).coefficients(psi, context)
     arguments = _arguments(problem, *point)
-    running, final = stage_costs(problem)
+    _, final = stage_costs(problem)
     value, slope, arrived, path, pulled, F, G, H = _stage_second(problem).map(steps)(
         *arguments, theta.stages, costates, forces
     )
     last, last_slope, H_last = final.hessian(states[:, steps], ca.MX(0, 1), theta.last)
-    slopes = [slope, last_slope]
-    lagrangian = _lagrangian(problem, *slopes, pulled, costates)
-    outputs = [ca.sum2(value) + last, arrived - states[:, 1:], path, *slopes, *lagrangian, F, G, H, H_last]
+    lagrangian = _lagrangian(problem, slope, last_slope, pulled, costates)
+    outputs = [ca.sum2(value) + last, arrived - states[:, 1:], path, slope, last_slope, *lagrangian, F, G, H, H_last]
     return ca.Function("stage_second", [*point, *dual], [ca.densify(x) for x in outputs])
 
 
@@ -108,7 +107,7 @@ def _repeat(problem: OCP, value: ca.MX) -> ca.MX:
 def _stage_second(problem: OCP) -> ca.Function:
     """(s, u, psi, c, d, theta, lambda, mu) -> l, its gradient, f, h, F' lambda + G' mu, F, G, H of one stage."""
     path, (running, _) = problem.path_constraint, stage_costs(problem)
-    s, u, psi, *rest = point = [
+    s, u, psi, *_ = point = [
         ca.MX.sym(name, problem.stage_cost.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d"))
     ]
     theta = ca.MX.sym("theta", running.hessian.size1_in(2))
