@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import tempfile
 import warnings
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -55,12 +56,17 @@ def compiled(function: ca.Function) -> ca.Function:
 
 def _library(compiler: str, name: str, source: str) -> Path:
     """The shared library of a C source: from the cache, marked as used, or built."""
-    key = "\0".join([source, compiler, _identity(compiler), *_FLAGS])
+    key = "\0".join([source, compiler, identity(compiler), *_FLAGS])
+    return cached(name, key, lambda library: _build(compiler, source, library))
+
+
+def cached(name: str, key: str, build: Callable[[Path], None]) -> Path:
+    """The library with this key: from the cache, marked as used, or built by `build(path)`."""
     library = cache_directory() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     try:
         os.utime(library)
     except FileNotFoundError:
-        _build(compiler, source, library)
+        build(library)
         _evict(library)
     except PermissionError:
         pass  # a shared cache that may only be read
@@ -100,17 +106,26 @@ def _warn_slow(reason: str) -> None:
 
 
 @lru_cache(maxsize=4)
-def _identity(compiler: str) -> str:
+def identity(compiler: str) -> str:
     """Version and the processor that -march=native resolves to: a cache on a shared disk must not mix them."""
     command = [compiler, "-march=native", "-E", "-dM", "-x", "c", os.devnull]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 def _build(compiler: str, source: str, library: Path) -> None:
+    """Compile one source."""
+    with tempfile.TemporaryDirectory() as scratch:
+        code = Path(scratch) / "code.c"
+        code.write_text(source)
+        link(compiler, _FLAGS, [code], library)
+
+
+def link(compiler: str, flags: Sequence[str], sources: Sequence[Path], library: Path) -> None:
     """Compile beside the target and rename: another process sees the whole library or none."""
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
-        code, built = Path(scratch) / "code.c", Path(scratch) / "code.so"
-        code.write_text(source)
-        subprocess.run([compiler, *_FLAGS, str(code), "-o", str(built), "-lm"], check=True, capture_output=True)
+        built = Path(scratch) / "built.so"
+        subprocess.run(
+            [compiler, *flags, *map(str, sources), "-o", str(built), "-lm"], check=True, capture_output=True, text=True
+        )
         built.replace(library)

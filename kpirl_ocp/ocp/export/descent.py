@@ -1,0 +1,89 @@
+"""Gradient descent as C: the functions of one step, forwards and backwards; the loop and the projection are C.
+
+With g(U; p) = dJ/dU, p = (psi, c, s_0), a step U' = P(U - alpha g) takes an adjoint v back as
+
+    w = P' v,    v <- w - alpha (dg/dU)' w,    dL/dp <- dL/dp - alpha (dg/dp)' w
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from kpirl_ocp.ocp.export.target import Target, dynamics
+from kpirl_ocp.ocp.gradient_descent import GradientDescent, check_constraints, symbols
+from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.reduced_cost import Linearisation, ReducedCost
+from kpirl_ocp.ocp.stage_costs import Coefficients
+from kpirl_ocp.ocp.sweeps import Adjoint
+
+
+def target(problem: OCP, solver: GradientDescent) -> Target:
+    """Cost and gradient at a point, a Hessian product with its shares for psi, c and s_0, and the slope of a loss."""
+    check_constraints(problem, solver.project)
+    return Target(
+        kind="gradient_descent",
+        functions=[dynamics(problem), descent_point(problem), descent_back(problem), descent_slope(problem)],
+        sources=("descent.h", "descent.c"),
+        workspace="descent.h",
+        macros={"STEP_SIZE": repr(solver.step_size)},
+        steps=solver.steps,
+        max_iterations=solver.steps,
+        tolerance=solver.tolerance,
+        barrier=0.0,
+        single_tolerance=1e-3,
+    )
+
+
+def descent_point(problem: OCP) -> ca.Function:
+    """(U, s0, psi, c) -> J, dJ/dU, states, costates."""
+    inputs, _, _, at = _linearise(problem)
+    outputs = [at.value, at.gradient, at.rollout.states, at.adjoint.costates]
+    return ca.Function("descent_point", inputs, [ca.densify(x) for x in outputs])
+
+
+def descent_back(problem: OCP) -> ca.Function:
+    """(U, s0, psi, c, w (n_u, T)) -> dJ/dU, and with g = dJ/dU: (dg/dU)' w, and w . g by psi, c and s0."""
+    inputs, reduced, theta, at = _linearise(problem)
+    u, _, psi, context = inputs
+    w = ca.MX.sym("w", *u.shape)
+    dS = reduced.sweeps.tangent(at.rollout, psi, w)
+    by_states, by_actions, by_theta = reduced.cost.second(at.rollout.states, u, theta, dS, w)
+    back = reduced.sweeps.adjoint_tangent(at.rollout, psi, at.adjoint.memory, dS, w, by_states)
+    x = [ca.MX.sym("x", *share.shape) for share in by_theta]
+    paired = ca.dot(theta.stages, x[0]) + ca.dot(theta.last, x[1])
+    pull = ca.Function("pull", [psi, context, *x], [ca.gradient(paired, p) for p in (psi, context)])
+    by_psi, by_context = pull(psi, context, *by_theta)
+    by_start = _by_start(problem, at, back, by_states, w, psi)
+    outputs = [at.gradient, by_actions + back.by_actions, by_psi + back.by_parameters, by_context, by_start]
+    return ca.Function("descent_back", [*inputs, w], [ca.densify(x) for x in outputs])
+
+
+def descent_slope(problem: OCP) -> ca.Function:
+    """(U, s0, psi, c, L_S (n_s, T+1), L_U (n_u, T)) -> dL/dU, and L by psi and s0 at fixed U."""
+    inputs, reduced, _, at = _linearise(problem)
+    by_states = ca.MX.sym("L_S", problem.n_states, problem.horizon + 1)
+    by_actions = ca.MX.sym("L_U", problem.n_actions, problem.horizon)
+    adjoint = reduced.sweeps.adjoint(at.rollout, inputs[2], by_states)
+    by_state, _ = problem.dynamics_derivatives.jacobian(inputs[1], inputs[0][:, 0], inputs[2])
+    by_start = by_states[:, 0] + by_state.T @ adjoint.costates[:, 0]
+    outputs = [by_actions + adjoint.by_actions, adjoint.by_parameters, by_start]
+    return ca.Function("descent_slope", [*inputs, by_states, by_actions], [ca.densify(x) for x in outputs])
+
+
+def _linearise(problem: OCP) -> tuple[list[ca.MX], ReducedCost, Coefficients, Linearisation]:
+    """U, s0, psi, c, and what is known there."""
+    inputs, reduced = list(symbols(problem)), ReducedCost(problem)
+    u, s0, psi, context = inputs
+    theta = reduced.cost.coefficients(psi, context)
+    return inputs, reduced, theta, reduced.linearise(s0, u, psi, theta)
+
+
+def _by_start(
+    problem: OCP, at: Linearisation, back: Adjoint, by_states: ca.MX, w: ca.MX, psi: ca.MX
+) -> ca.MX:
+    """d(w . dJ/dU)/ds_0 = l_su w_0 + f_s' dlambda_1 + (lambda_1 . f)_su w_0, the tangent of lambda_0 along w."""
+    derivatives, n_s = problem.dynamics_derivatives, problem.n_states
+    stage = at.rollout.states[:, 0], at.rollout.actions[:, 0], psi
+    by_state, _ = derivatives.jacobian(*stage)
+    curvature = derivatives.hessian(*stage, at.adjoint.costates[:, 0])
+    return by_states[:, 0] + by_state.T @ back.costates[:, 0] + curvature[:n_s, n_s:] @ w[:, 0]

@@ -1,0 +1,78 @@
+"""Solves in Python that the exported folder is tested against."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.ocp.export.templates import LICENCE, PREFIX
+from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.solver import Solver
+from kpirl_ocp.types import Array, Solution, Status
+
+
+@dataclass(frozen=True)
+class Record:
+    """A cold start from s0 (n_s,) and, from its solution, a warm start one step along the plan, at after (n_s,)."""
+
+    s0: Array
+    context: Array
+    after: Array
+    cold: Solution
+    warm: Solution
+
+
+def record(problem: OCP, solver: Solver, psi: Array, s0: ArrayLike, context: ArrayLike) -> Record:
+    """Solve both."""
+    start, psi, goal = problem.inputs(s0, psi, context)
+    cold = solver.solve(problem, start, psi, goal)
+    after = np.array(problem.dynamics(start, cold.actions[0], psi)).ravel()
+    if not cold.status.ok:  # there is nothing to continue from
+        return Record(start, goal, start, cold, cold)
+    return Record(start, goal, after, cold, solver.solve(problem, after, psi, goal, guess=cold))
+
+
+def header(records: Sequence[Record], counts: bool) -> str:
+    """The records as constants of the C test; see `Target.counts`."""
+    arrays = {
+        "state": [r.s0 for r in records],
+        "context": [r.context for r in records],
+        "next": [r.after for r in records],
+        "cold_actions": [r.cold.actions for r in records],
+        "warm_actions": [r.warm.actions for r in records],
+    }
+    guard, name = f"{PREFIX.upper()}_RECORDS_H", f"{PREFIX}_record"
+    lines = [f"{LICENCE}\n/* Solved in Python when this folder was exported. */\n#ifndef {guard}\n#define {guard}\n"]
+    lines += [f'#include "{PREFIX}.h"\n', f"#define {PREFIX.upper()}_RECORDS {len(records)}\n"]
+    for key, values in arrays.items():
+        kind = "double" if key.endswith("actions") else f"{PREFIX}_real"
+        rows = ",\n".join(f"  {numbers(value.ravel())}" for value in values)
+        width = max(values[0].size, 1)
+        lines.append(f"static const {kind} {name}_{key}[{len(records)}][{width}] = {{\n{rows}}};\n")
+    for key, solutions in (("cold", [r.cold for r in records]), ("warm", [r.warm for r in records])):
+        rows = ", ".join(f"{{{code(s.status, counts)}, {s.iterations if counts else -1}}}" for s in solutions)
+        lines.append(f"/* status, iterations */\nstatic const int {name}_{key}[{len(records)}][2] = {{{rows}}};\n")
+    uses = " + ".join(f"(int)sizeof {name}_{key}" for key in (*arrays, "cold", "warm"))
+    lines.append(f"/* A file may use some of them only. */\nenum {{ {name}_bytes = {uses} }};\n")
+    return "\n".join([*lines, "#endif\n"])
+
+
+def code(status: Status, counts: bool) -> int:
+    """The value of the C enum, which has Python's order; without counts, all ways of giving up are one."""
+    gave_up = status in (Status.ITERATION_LIMIT, Status.STALLED)
+    return list(Status).index(Status.FAILED if gave_up and not counts else status)
+
+
+def numbers(values: Iterable[float]) -> str:
+    """A C initialiser; one zero for an empty array, because C has none."""
+    return "{" + (", ".join(number(value) for value in values) or "0") + "}"
+
+
+def number(value: float) -> str:
+    """A C expression of a number that is not NaN."""
+    if np.isinf(value):
+        return "INFINITY" if value > 0 else "-INFINITY"
+    return repr(float(value))

@@ -1,0 +1,40 @@
+"""The interior-point method as C: which functions are generated, and which files control them."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from kpirl_ocp.ocp.export.target import Target, dynamics
+from kpirl_ocp.ocp.follow import follow
+from kpirl_ocp.ocp.influence import pull
+from kpirl_ocp.ocp.interior_point import newton_step, rows
+from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.riccati import Riccati
+from kpirl_ocp.ocp.stages import first, second, values
+
+
+def target(problem: OCP, solver: Riccati) -> Target:
+    """Values, first and second derivatives, Newton step, line search along the dynamics, and the pull-back of psi."""
+    at = rows(problem)
+    functions: list[ca.Function] = [
+        dynamics(problem),
+        *(build(problem) for build in (values, first, second, newton_step, follow, pull)),
+    ]
+    return Target(
+        kind="riccati",
+        functions=functions,
+        sources=("newton.h", "newton.c", "filter.h", "filter.c", "riccati.h", "riccati.c", "adjoint.c"),
+        workspace="riccati.h",
+        macros={
+            "MAX_ITERATIONS": solver.max_iterations,
+            "N_LOWER": len(at.lower),
+            "N_UPPER": len(at.upper),
+            "N_FIXED": len(at.fixed),
+            "STATE_CONSTRAINTS": int(problem.has_state_constraints),
+        },
+        steps=solver.steps or 0,
+        max_iterations=solver.max_iterations,
+        tolerance=solver.tolerance,
+        barrier=solver.barrier,
+        single_tolerance=1e-3,
+    )

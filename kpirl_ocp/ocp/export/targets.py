@@ -1,0 +1,29 @@
+"""Which solvers can be exported, and how."""
+
+from __future__ import annotations
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.export import descent, riccati, sqp
+from kpirl_ocp.ocp.export.target import Target
+from kpirl_ocp.ocp.gradient_descent import GradientDescent
+from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.riccati import Riccati
+from kpirl_ocp.ocp.solver import Solver
+from kpirl_ocp.ocp.sqp import SQP
+
+ALTERNATIVES = (
+    "Riccati() iterates until convergence, Riccati(steps=1, barrier=1e-2) is the real-time iteration, "
+    "GradientDescent(steps, step_size, project) takes a fixed number of gradient steps, and SQP() solves with "
+    "CasADi's sqpmethod and qrqp"
+)
+
+
+def target_of(problem: OCP, solver: Solver) -> Target:
+    """The solver as C. Raises ProblemError, with the alternatives, for one that cannot be exported."""
+    if isinstance(solver, Riccati):
+        return riccati.target(problem, solver)
+    if isinstance(solver, GradientDescent):
+        return descent.target(problem, solver)
+    if isinstance(solver, SQP):
+        return sqp.target(problem, solver)
+    raise ProblemError(f"{type(solver).__name__} needs libraries that cannot be exported as C. {ALTERNATIVES}.")
