@@ -28,10 +28,10 @@ def cache(tmp_path, monkeypatch):
 def hide_compiler(tmp_path, monkeypatch):
     def hide():
         monkeypatch.setenv("PATH", str(tmp_path))
-        native._compiler.cache_clear()
+        native.compiler.cache_clear()
 
     yield hide
-    native._compiler.cache_clear()
+    native.compiler.cache_clear()
 
 
 def polynomial(factor=2.0, name="polynomial"):
@@ -225,7 +225,7 @@ def test_when_compiling_fails_the_function_itself_is_returned_with_a_warning(fau
     if fault == "compiler fails":
         (tmp_path / "cc").write_text("#!/bin/sh\nexit 1\n")
         (tmp_path / "cc").chmod(0o755)
-        monkeypatch.setattr(native, "_compiler", lambda: str(tmp_path / "cc"))
+        monkeypatch.setattr(native, "compiler", lambda: str(tmp_path / "cc"))
     else:
         (tmp_path / "cache").write_text("a file where the directory should be")
     function = polynomial(name="unlucky")

@@ -48,8 +48,12 @@ def call(problem: OCP, build: Callable[[OCP], ca.Function]) -> Call:
 
 @lru_cache(maxsize=512)
 def _native(problem: OCP, build: Callable[[OCP], ca.Function]) -> ca.Function:
-    size = problem.horizon * (problem.n_states + problem.n_actions) ** 2
-    return compiled(build(problem)) if size > _WORTH_COMPILING else build(problem)
+    return compiled(build(problem)) if worth_compiling(problem) else build(problem)
+
+
+def worth_compiling(problem: OCP) -> bool:
+    """Is the problem large enough for machine code to repay the seconds that the compiler takes?"""
+    return problem.horizon * (problem.n_states + problem.n_actions) ** 2 > _WORTH_COMPILING
 
 
 @lru_cache(maxsize=512)

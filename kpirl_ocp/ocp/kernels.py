@@ -179,6 +179,7 @@ static void casadi_tanh(const casadi_real* x, casadi_int n, casadi_real* y) {
 
 """
 
+SOURCES = _KERNEL + _COPY + _TANH
 _BODIES = {"casadi_mtimes_dense": _KERNEL.lstrip(), "casadi_copy": _COPY}
 _TANH_LOOP = re.compile(r"for \(i=0, rr=([^,]+), cs=([^;]+); i<(\d+); \+\+i\) \*rr\+\+ = tanh\( ?\*cs\+\+ ?\);")
 

@@ -80,7 +80,9 @@ class Controller:
         self._use(problem)
         start, kept = self._input(problem, s0, psi, context)
         plan = self._plain(solution)
-        slopes = [self.structures.array(slope) for slope in (problem.as_states(by_states), problem.as_actions(by_actions))]
+        slopes = [
+            self.structures.array(slope) for slope in (problem.as_states(by_states), problem.as_actions(by_actions))
+        ]
         first = None
         if guess is not None:
             first, more = self._guess(problem, guess)
@@ -189,14 +191,14 @@ class Controller:
             multipliers=Multipliers(*arrays[2:]),
             objective=found.objective,
             residuals=residuals,
-            status=_status(found.status),
+            status=status_of(found.status),
             iterations=found.iterations,
             barrier=current.barrier,
             message=f"{self._prefix}: {self._function('message')(found.status).decode()}",
         )
 
 
-def _status(code: int) -> Status:
+def status_of(code: int) -> Status:
     """The C enum begins with Python's members, in their order; beyond them a solve has the time limit."""
     known = list(Status)
     return known[code] if code < len(known) else Status.ITERATION_LIMIT
@@ -207,9 +209,13 @@ def _manifest(folder: Path) -> dict[str, Any]:
     try:
         manifest = json.loads(path.read_text())
     except FileNotFoundError:
-        raise ProblemError(f"{path} does not exist: export a controller with export_c or scripts/export_mpc.py.") from None
+        raise ProblemError(
+            f"{path} does not exist: export a controller with export_c or scripts/export_mpc.py."
+        ) from None
     if manifest.get("format") != FORMAT:
-        raise ProblemError(f"{path} has format {manifest.get('format')!r}, this version reads {FORMAT}: export it again.")
+        raise ProblemError(
+            f"{path} has format {manifest.get('format')!r}, this version reads {FORMAT}: export it again."
+        )
     return dict(manifest)
 
 
