@@ -54,7 +54,7 @@ def test_products_with_stage_matrices_are_those_with_derivatives_of_the_whole_pr
         (system.times_hessian(w), H @ w),
         (system.times_jacobian(w), A @ w),
         (system.times_transposed_jacobian(costates), A.T @ costates),
-        (instance.path_forces(system.rows @ w), G @ w),
+        (instance.path_forces(system.times_rows(w)), G @ w),
     ]:
         scale = max(1.0, np.abs(expected).max(initial=0.0))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * scale)

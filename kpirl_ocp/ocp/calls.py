@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.native import compiled
+from kpirl_ocp.ocp.native import together
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.types import Array
+
+Build = Callable[[OCP], ca.Function]
 
 # T n_x^2 from which machine code saves more than the seconds that the compiler takes: smaller problems are solved in
 # milliseconds by CasADi's virtual machine.
@@ -23,32 +25,49 @@ class Call:
     Holds the memory of one evaluation, so use one object per thread.
     """
 
-    def __init__(self, function: ca.Function) -> None:
+    def __init__(self, function: ca.Function, fixed: Sequence[Array] = ()) -> None:
+        """fixed: the first arguments, which stay the same."""
         self._buffer, self._evaluate = function.buffer()
         self._sizes_in, self._sizes_out = _sizes(function)
+        self._fixed = len(fixed)
+        self._kept = self._hand_over(fixed, 0)
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """New flat arrays, one per output."""
-        flat = [np.ascontiguousarray(argument, float) for argument in arguments]
-        if [array.size for array in flat] != self._sizes_in:
-            raise ValueError(f"arguments have {[array.size for array in flat]} numbers, expected {self._sizes_in}.")
-        for i, array in enumerate(flat):
-            self._buffer.set_arg(i, array.data)
+        kept = self._hand_over(arguments, self._fixed)
+        if self._fixed + len(kept) != len(self._sizes_in):
+            raise ValueError(f"{len(kept)} arguments were given, expected {len(self._sizes_in) - self._fixed}.")
         outputs = [np.empty(size) for size in self._sizes_out]
         for i, array in enumerate(outputs):
             self._buffer.set_res(i, array.data)
         self._evaluate()
         return outputs
 
+    def _hand_over(self, arguments: Sequence[Array], first: int) -> list[Array]:
+        """The arrays that the buffer now points to, which have to be kept until it is evaluated."""
+        flat = [np.ascontiguousarray(argument, float) for argument in arguments]
+        expected = self._sizes_in[first : first + len(flat)]
+        if [array.size for array in flat] != expected:
+            raise ValueError(f"arguments have {[array.size for array in flat]} numbers, expected {expected}.")
+        for i, array in enumerate(flat, start=first):
+            self._buffer.set_arg(i, array.data)
+        return flat
 
-def call(problem: OCP, build: Callable[[OCP], ca.Function]) -> Call:
+
+def call(problem: OCP, build: Build, fixed: Sequence[Array] = ()) -> Call:
     """The function `build(problem)`, ready to be called: compiled, unless the problem is too small to repay it."""
-    return Call(_native(problem, build))
+    return Call(_native(problem, (build,))[0], fixed)
+
+
+def call_one_of(problem: OCP, builds: tuple[Build, ...], build: Build, fixed: Sequence[Array] = ()) -> Call:
+    """The same, compiled together with others that share most of their code."""
+    return Call(_native(problem, builds)[builds.index(build)], fixed)
 
 
 @lru_cache(maxsize=512)
-def _native(problem: OCP, build: Callable[[OCP], ca.Function]) -> ca.Function:
-    return compiled(build(problem)) if worth_compiling(problem) else build(problem)
+def _native(problem: OCP, builds: tuple[Build, ...]) -> list[ca.Function]:
+    functions = [build(problem) for build in builds]
+    return together(functions) if worth_compiling(problem) else functions
 
 
 def worth_compiling(problem: OCP) -> bool:

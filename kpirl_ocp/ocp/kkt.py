@@ -13,7 +13,6 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-import scipy.sparse
 
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.types import Array, Indices, KKTResiduals, Mask, Multipliers, Trajectory
@@ -146,18 +145,13 @@ class Inequalities:
         net[self.upper] += forces[split : split + len(self.upper)]
         return net
 
-    def jacobian(self, path_jacobian: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
-        """Jacobian (n_ineq, n_w) of the constraint values -slack, from that of the path constraints (T n_h, n_w)."""
-        entries = np.concatenate([self.lower, self.upper])
-        signs = np.repeat([-1.0, 1.0], [len(self.lower), len(self.upper)])
-        return scipy.sparse.csr_matrix(
-            (
-                np.concatenate([signs, path_jacobian.data]),
-                np.concatenate([entries, path_jacobian.indices]),
-                np.concatenate([np.arange(len(entries)), len(entries) + path_jacobian.indptr]),
-            ),
-            (len(entries) + path_jacobian.shape[0], path_jacobian.shape[1]),
-        )
+
+@lru_cache(maxsize=64)
+def bounded_entries(problem: OCP) -> tuple[Indices, Array]:
+    """The entries of w (n_bounds,) that have a finite lower bound, then a finite upper one, and signs -1 and 1."""
+    nlp = transcribe(problem)
+    low, high = np.flatnonzero(np.isfinite(nlp.lower)), np.flatnonzero(np.isfinite(nlp.upper))
+    return np.concatenate([low, high]), np.repeat([-1.0, 1.0], [len(low), len(high)])
 
 
 def audit(

@@ -33,25 +33,32 @@ _CACHE_BYTES = 512 * 2**20
 
 def compiled(function: ca.Function) -> ca.Function:
     """The same function as machine code; the function itself when there is no C compiler."""
+    return together([function])[0]
+
+
+def together(functions: Sequence[ca.Function]) -> list[ca.Function]:
+    """The same for several functions, whose common parts are compiled once."""
     command = compiler()
     if command is None:
-        return function
-    generator = ca.CodeGenerator(f"{function.name()}.c")
-    generator.add(function)
+        return list(functions)
+    name = functions[0].name()
+    generator = ca.CodeGenerator(f"{name}.c")
+    for function in functions:
+        generator.add(function)
     source = with_fast_kernels(generator.dump())
     for _ in range(2):  # another process may remove the library before it is loaded
         try:
-            library = _library(command, function.name(), source)
+            library = _library(command, name, source)
         except (OSError, subprocess.CalledProcessError) as error:
-            warn_slow(f"{command} could not compile {function.name()}: {error}")
-            return function
+            warn_slow(f"{command} could not compile {name}: {error}")
+            return list(functions)
         try:
-            return ca.external(function.name(), str(library))
+            return [ca.external(function.name(), str(library)) for function in functions]
         except RuntimeError:
             if library.exists():
                 raise
     warn_slow(f"other processes keep removing {library}")
-    return function
+    return list(functions)
 
 
 def _library(compiler: str, name: str, source: str) -> Path:
