@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 
@@ -25,23 +26,26 @@ class Call:
     Holds the memory of one evaluation, so use one object per thread.
     """
 
-    def __init__(self, function: ca.Function, fixed: Sequence[Array] = ()) -> None:
-        """fixed: the first arguments, which stay the same."""
+    def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = function.buffer()
         self._sizes_in, self._sizes_out = _sizes(function)
-        self._fixed = len(fixed)
-        self._kept = self._hand_over(fixed, 0)
+        self._fixed: list[Array] = []
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """New flat arrays, one per output."""
-        kept = self._hand_over(arguments, self._fixed)
-        if self._fixed + len(kept) != len(self._sizes_in):
-            raise ValueError(f"{len(kept)} arguments were given, expected {len(self._sizes_in) - self._fixed}.")
+        kept = self._hand_over(arguments, len(self._fixed))
+        if len(self._fixed) + len(kept) != len(self._sizes_in):
+            raise ValueError(f"{len(kept)} arguments were given, expected {len(self._sizes_in) - len(self._fixed)}.")
         outputs = [np.empty(size) for size in self._sizes_out]
         for i, array in enumerate(outputs):
             self._buffer.set_res(i, array.data)
         self._evaluate()
         return outputs
+
+    def fix(self, *arguments: Array) -> Call:
+        """The same object, with its first arguments given for all later calls."""
+        self._fixed = self._hand_over(arguments, 0)
+        return self
 
     def _hand_over(self, arguments: Sequence[Array], first: int) -> list[Array]:
         """The arrays that the buffer now points to, which have to be kept until it is evaluated."""
@@ -54,14 +58,23 @@ class Call:
         return flat
 
 
-def call(problem: OCP, build: Build, fixed: Sequence[Array] = ()) -> Call:
+def call(problem: OCP, build: Build) -> Call:
     """The function `build(problem)`, ready to be called: compiled, unless the problem is too small to repay it."""
-    return Call(_native(problem, (build,))[0], fixed)
+    return call_one_of(problem, (build,), build)
 
 
-def call_one_of(problem: OCP, builds: tuple[Build, ...], build: Build, fixed: Sequence[Array] = ()) -> Call:
-    """The same, compiled together with others that share most of their code."""
-    return Call(_native(problem, builds)[builds.index(build)], fixed)
+def call_one_of(problem: OCP, builds: tuple[Build, ...], build: Build) -> Call:
+    """The same, compiled together with others that share most of their code.
+
+    Every thread has one object for each function, and its arguments are open again.
+    """
+    if not hasattr(_thread, "find"):
+        _thread.find = lru_cache(maxsize=512)(lambda *key: Call(_native(*key[:2])[key[2]]))
+    found: Call = _thread.find(problem, builds, builds.index(build))
+    return found.fix()
+
+
+_thread = threading.local()
 
 
 @lru_cache(maxsize=512)

@@ -134,7 +134,7 @@ class Factorisation:
         own, active = self._system, system.active.astype(float)
         fixed = [own.F.ravel(), own.G.ravel(), *self._factors, self._stiffness]
         fixed += [*system.matrices, system.stiffness, active, 1 / self._units, right, defects, values]
-        return self._call(compiled.refine, fixed)
+        return self._call(compiled.refine).fix(*fixed)
 
     def _error(self, norms: Array, right: Array) -> float:
         """The largest of the three residuals, relative to the right-hand side or to what w would be without rows."""
@@ -153,5 +153,5 @@ class Factorisation:
         F, G, *_ = self._system.matrices
         return np.sqrt(self._call(compiled.row_variances)(F, G)[0])
 
-    def _call(self, build: Callable[[OCP], ca.Function], fixed: Sequence[Array] = ()) -> Call:
-        return call_one_of(self._system.instance.problem, compiled.ALL, build, fixed)
+    def _call(self, build: Callable[[OCP], ca.Function]) -> Call:
+        return call_one_of(self._system.instance.problem, compiled.ALL, build)

@@ -9,7 +9,7 @@ solution read the optimality conditions from here; `kpirl_ocp.ocp.stages` has th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -32,6 +32,13 @@ class NLP:
     lower: Array
     upper: Array
     n_defects: int
+
+    @cached_property
+    def bounded(self) -> tuple[Indices, Indices, Mask]:
+        """Entries of w with a finite lower bound, and with a finite upper one; where both, of all these, coincide."""
+        low, high = np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
+        fixed = self.lower == self.upper
+        return low, high, np.concatenate([fixed[low], fixed[high]])
 
 
 @lru_cache(maxsize=64)
@@ -114,13 +121,12 @@ class Inequalities:
     @classmethod
     def at(cls, nlp: NLP, w: Array, path: Array) -> Inequalities:
         """The inequalities at w (n_w,), with path constraints (T n_h,) evaluated there."""
-        low, high = np.flatnonzero(np.isfinite(nlp.lower)), np.flatnonzero(np.isfinite(nlp.upper))
-        fixed = nlp.lower == nlp.upper
+        low, high, fixed = nlp.bounded
         return cls(
             lower=low,
             upper=high,
             slack=np.concatenate([w[low] - nlp.lower[low], nlp.upper[high] - w[high], -path]),
-            equal=np.concatenate([fixed[low], fixed[high], np.zeros(len(path), bool)]),
+            equal=np.concatenate([fixed, np.zeros(len(path), bool)]),
         )
 
     def forces(self, multipliers: Multipliers, barrier: float) -> Array:
@@ -149,8 +155,7 @@ class Inequalities:
 @lru_cache(maxsize=64)
 def bounded_entries(problem: OCP) -> tuple[Indices, Array]:
     """The entries of w (n_bounds,) that have a finite lower bound, then a finite upper one, and signs -1 and 1."""
-    nlp = transcribe(problem)
-    low, high = np.flatnonzero(np.isfinite(nlp.lower)), np.flatnonzero(np.isfinite(nlp.upper))
+    low, high, _ = transcribe(problem).bounded
     return np.concatenate([low, high]), np.repeat([-1.0, 1.0], [len(low), len(high)])
 
 

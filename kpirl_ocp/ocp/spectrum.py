@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -36,9 +37,12 @@ def lanczos(operator: Callable[[ca.MX], ca.MX], start: ca.MX, products: int) -> 
     ]
 
 
+@lru_cache(maxsize=64)
 def start(size: int) -> Array:
     """A vector that is random but always the same."""
-    return np.random.default_rng(0).normal(size=size)
+    vector = np.random.default_rng(0).normal(size=size)
+    vector.flags.writeable = False
+    return vector
 
 
 def ritz(diagonal: Array, beside: Array, basis: Array) -> tuple[Array, Array]:
