@@ -18,17 +18,27 @@ Build = Callable[[OCP], ca.Function]
 # T n_x^2 from which machine code saves more than the seconds that the compiler takes: smaller problems are solved in
 # milliseconds by CasADi's virtual machine.
 _WORTH_COMPILING = 15000
+_SMALL = 2000  # numbers that are copied
 
 
 class Call:
     """A function of dense vectors and matrices, called with flat arrays in column-major order, as CasADi keeps them.
 
-    Holds the memory of one evaluation, so use one object per thread.
+    Small arrays are copied to and from memory of its own, which takes a fraction of the time that it takes to tell
+    CasADi where they are. It holds the memory of one evaluation, so use one object per thread.
     """
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = function.buffer()
         self._sizes_in, self._sizes_out = _sizes(function)
+        self._inputs, self._outputs = (
+            [np.empty(size) if size <= _SMALL else None for size in sizes]
+            for sizes in (self._sizes_in, self._sizes_out)
+        )
+        for arrays, tell in ((self._inputs, self._buffer.set_arg), (self._outputs, self._buffer.set_res)):
+            for i, array in enumerate(arrays):
+                if array is not None:
+                    tell(i, array.data)
         self._fixed: list[Array] = []
 
     def __call__(self, *arguments: Array) -> list[Array]:
@@ -36,11 +46,11 @@ class Call:
         kept = self._hand_over(arguments, len(self._fixed))
         if len(self._fixed) + len(kept) != len(self._sizes_in):
             raise ValueError(f"{len(kept)} arguments were given, expected {len(self._sizes_in) - len(self._fixed)}.")
-        outputs = [np.empty(size) for size in self._sizes_out]
-        for i, array in enumerate(outputs):
+        large = {i: np.empty(size) for i, size in enumerate(self._sizes_out) if size > _SMALL}
+        for i, array in large.items():
             self._buffer.set_res(i, array.data)
         self._evaluate()
-        return outputs
+        return [large[i] if memory is None else memory.copy() for i, memory in enumerate(self._outputs)]
 
     def fix(self, *arguments: Array) -> Call:
         """The same object, with its first arguments given for all later calls."""
@@ -48,14 +58,19 @@ class Call:
         return self
 
     def _hand_over(self, arguments: Sequence[Array], first: int) -> list[Array]:
-        """The arrays that the buffer now points to, which have to be kept until it is evaluated."""
-        flat = [np.ascontiguousarray(argument, float) for argument in arguments]
-        expected = self._sizes_in[first : first + len(flat)]
-        if [array.size for array in flat] != expected:
-            raise ValueError(f"arguments have {[array.size for array in flat]} numbers, expected {expected}.")
-        for i, array in enumerate(flat, start=first):
-            self._buffer.set_arg(i, array.data)
-        return flat
+        """The arrays that CasADi now reads, which have to be kept until it is done."""
+        kept = []
+        for i, argument in enumerate(arguments, start=first):
+            array, memory = np.asarray(argument, float), self._inputs[i]
+            if array.size != self._sizes_in[i]:
+                raise ValueError(f"argument {i} has {array.size} numbers, expected {self._sizes_in[i]}.")
+            if memory is None:
+                memory = np.ascontiguousarray(array)
+                self._buffer.set_arg(i, memory.data)
+            else:
+                memory[:] = array.reshape(-1)
+            kept.append(memory)
+        return kept
 
 
 def call(problem: OCP, build: Build) -> Call:

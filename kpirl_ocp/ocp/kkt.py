@@ -136,8 +136,9 @@ class Inequalities:
         slack, tau / slack, and a disagreement shows up in the stationarity.
         """
         nu = bound_multipliers(multipliers)
-        low = np.where(np.isin(self.lower, self.upper), np.maximum(-nu[self.lower], 0.0), -nu[self.lower])
-        high = np.where(np.isin(self.upper, self.lower), np.maximum(nu[self.upper], 0.0), nu[self.upper])
+        sides = np.bincount(np.concatenate([self.lower, self.upper]), minlength=len(nu)) > 1
+        low = np.where(sides[self.lower], np.maximum(-nu[self.lower], 0.0), -nu[self.lower])
+        high = np.where(sides[self.upper], np.maximum(nu[self.upper], 0.0), nu[self.upper])
         bounds = np.concatenate([low, high])
         if barrier > 0:
             with np.errstate(divide="ignore"):
