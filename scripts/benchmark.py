@@ -18,6 +18,7 @@ from bench import (
     ceilings,
     compile_times,
     drawing,
+    export,
     growth,
     hypergradients,
     iiwa,
@@ -44,6 +45,7 @@ PARTS = {
     "memory": memory.measure,
     "compile_times": compile_times.measure,
     "iiwa": iiwa.measure,
+    "export": export.measure,
 }
 
 

@@ -24,7 +24,8 @@ class DynamicsDerivatives:
     vjp: (s, u, psi, lam) -> f_s^T lam (n_s,), f_u^T lam (n_u,), f_psi^T lam (n_psi,).
     jacobian: (s, u, psi) -> f_s (n_s, n_s), f_u (n_s, n_u).
     hessian: (s, u, psi, lam) -> second derivative of lam . f with respect to (s, u), (n_s + n_u, n_s + n_u).
-    second: (s, u, psi, lam) -> f, (f_s, f_u) and `hessian`, with what they share computed once.
+    first: (s, u, psi, lam) -> f, f_s^T lam, f_u^T lam, with what they share computed once.
+    second: (s, u, psi, lam) -> f, (f_s, f_u) and `hessian`, likewise.
     sweeps: (T, B) -> the passes along B trajectories, where something better than stage by stage is known.
     """
 
@@ -32,6 +33,7 @@ class DynamicsDerivatives:
     vjp: ca.Function
     jacobian: ca.Function
     hessian: ca.Function
+    first: ca.Function
     second: ca.Function
     sweeps: Callable[[int, int], Sweeps] | None = None
 
@@ -53,5 +55,6 @@ class DynamicsDerivatives:
             vjp=ca.Function("vjp", [s, u, psi, lam], [ca.gradient(pairing, x) for x in (s, u, psi)]),
             jacobian=ca.Function("jacobian", [s, u, psi], [by_s, by_u]),
             hessian=ca.Function("hessian", [s, u, psi, lam], [hessian]),
+            first=ca.Function("first", [s, u, psi, lam], ca.cse([value, *(ca.gradient(pairing, x) for x in (s, u))])),
             second=ca.Function("second", [s, u, psi, lam], together),
         )

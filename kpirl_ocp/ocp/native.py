@@ -27,7 +27,15 @@ from kpirl_ocp.ocp.kernels import with_fast_kernels
 # 0 + i*0 for the address of an empty array, which newer compilers refuse without -Wno-int-conversion. Loops are turned
 # into vector instructions as with -O3, which takes longer to compile and gains nothing more.
 _OPTIMISED = ("-O2", "-ftree-vectorize", "-fvect-cost-model=dynamic", "-march=native")
-FLAGS = (*_OPTIMISED, "-fno-semantic-interposition", "-fno-math-errno", "-fno-trapping-math", "-Wno-int-conversion", "-fPIC", "-shared")
+FLAGS = (
+    *_OPTIMISED,
+    "-fno-semantic-interposition",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-Wno-int-conversion",
+    "-fPIC",
+    "-shared",
+)
 _CACHE_BYTES = 512 * 2**20
 
 

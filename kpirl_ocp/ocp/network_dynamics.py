@@ -76,18 +76,16 @@ class NetworkDynamics:
         linear_s = ca.DM(self._shift(ca.DM.eye(n_s)))
         linear_u = ca.vertcat(ca.DM(n_z, self.n_joints), self._displacement(ca.DM.eye(self.n_joints)))
         value = self._shift(s) + ca.vertcat(y, self._displacement(u))
+        by_s, by_u = self._shift(lam) + pulled[:n_s], lam[theta] + pulled[n_s:]
         slope, curvature = second(self.mlp, slopes, lam[:n_z])
         F = ca.MX(ca.densify(ca.horzcat(linear_s, linear_u)))
         F[:n_z, :] = slope + ca.horzcat(linear_s, linear_u)[:n_z, :]
         return DynamicsDerivatives(
             jvp=ca.Function("jvp", [s, u, psi, ds, du], [self._shift(ds) + ca.vertcat(moved, self._displacement(du))]),
-            vjp=ca.Function(
-                "vjp",
-                [s, u, psi, lam],
-                [self._shift(lam) + pulled[:n_s], lam[theta] + pulled[n_s:], ca.MX.zeros(n_parameters)],
-            ),
+            vjp=ca.Function("vjp", [s, u, psi, lam], [by_s, by_u, ca.MX.zeros(n_parameters)]),
             jacobian=ca.Function("jacobian", [s, u, psi], [rows[:, :n_s] + linear_s, rows[:, n_s:] + linear_u]),
             hessian=ca.Function("hessian", [s, u, psi, lam], [hessian(self.mlp, slopes, lam[:n_z])]),
+            first=ca.Function("first", [s, u, psi, lam], [value, by_s, by_u]),
             second=ca.Function("second", [s, u, psi, lam], [value, F, curvature]),
         )
 

@@ -40,9 +40,9 @@ def first(problem: OCP) -> ca.Function:
     (states, actions, psi, context), (costates, forces), steps = point, dual, problem.horizon
     cost = TrajectoryCost(problem, 1)
     total, by_states, by_actions = cost.first(states, actions, cost.coefficients(psi, context))
-    arrived = problem.dynamics.map(steps)(states[:, :-1], actions, _repeat(problem, psi))
-    pulled = problem.dynamics_derivatives.vjp.map(steps)(states[:, :-1], actions, _repeat(problem, psi), costates)
-    pulled, path = ca.vertcat(*pulled[:2]), problem.path(*point)
+    through = states[:, :-1], actions, _repeat(problem, psi), costates
+    arrived, *pulled = problem.dynamics_derivatives.first.map(steps)(*through)
+    pulled, path = ca.vertcat(*pulled), problem.path(*point)
     if problem.path_constraint is not None:
         pulled += _stage_gradient(problem.path_constraint).map(steps)(*_arguments(problem, *point), forces)
     slope, last_slope = ca.vertcat(by_states[:, :steps], by_actions), by_states[:, steps]

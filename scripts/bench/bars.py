@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from bench.contenders import ALONE, JAX, OURS, TORCH
+from bench.export import REAL_TIME
 from bench.implicit import BOTH, GRADIENT, SOLVE
 from bench.memory import IMPLICIT
 from bench.part import Numbers, Table
@@ -57,6 +58,7 @@ def bars(results: Results) -> list[Bar]:
         "memory": _memory,
         "real_time": _real_time,
         "compile_times": _compile_times,
+        "export": _export,
     }
     return [bar for part, claims in sources.items() if part in results for bar in claims(results[part])]
 
@@ -134,6 +136,20 @@ def _compile_times(numbers: Numbers) -> Iterator[Bar]:
         slowest = max(numbers, key=lambda method: numbers[method][cache]["compile_s"])
         claim = f"compilation in learn_cost.py, {cache} cache"
         yield Bar(claim, limit, numbers[slowest][cache]["compile_s"], " s", f"slowest method: {slowest}")
+
+
+def _export(numbers: Numbers) -> Iterator[Bar]:
+    for horizon, found in numbers.items():
+        for build in ("portable", "native"):
+            result, claim = found[f"C, {REAL_TIME}, {build}"], f"exported real-time iteration, T = {horizon}, {build}"
+            note = f"least {result['minimum_ms']:.2f} ms; absolute, so it depends on the machine"
+            short = int(horizon) <= 10
+            yield Bar(claim, 0.5 if short else 1.5, result["median_ms"], " ms", note)
+            if short:
+                yield Bar(f"{claim}, 99 %", 1.0, result["p99_ms"], " ms", note)
+    compiled = [result for found in numbers.values() for result in found.values() if "compile_s" in result]
+    yield Bar("compilation of an exported controller", 15.0, max(r["compile_s"] for r in compiled), " s")
+    yield Bar("library of an exported controller", 1000.0, max(r["library_bytes"] for r in compiled) / 1000, " kB")
 
 
 def _totals(starts: list[Numbers]) -> Numbers:

@@ -17,7 +17,9 @@ class Preset:
     hidden: widths of the network's hidden layers. steps: N and horizons: T of the grid of hypergradients.
     paper_steps, paper_horizon: N and T of the paper. long_steps: N at which unrolling should cost more than solving.
     demonstrations: how many are evaluated at once. starts: solved OCPs per model. growing: horizons for growth.
-    control_steps: of the closed loop. counts: iterations at which memory is measured.
+    control_steps: of the closed loop.
+    exported: horizons of exported controllers. exported_steps: of their closed loop.
+    counts: iterations at which memory is measured.
     remembered: contenders whose memory is measured. methods: of learn_cost.py whose compilation is timed.
     bases: of the keypoint costs on the iiwa. trained: measure the model that comes with the package, too.
     budget: seconds per contender and case. most: timed calls per contender and case at most.
@@ -34,6 +36,8 @@ class Preset:
     starts: int = 3
     growing: tuple[int, ...] = (25, 100, 400)
     control_steps: int = 100
+    exported: tuple[int, ...] = (10, 25)
+    exported_steps: int = 10000
     counts: tuple[int, ...] = (10, 100, 1000)
     remembered: tuple[str, ...] = NAMES
     methods: tuple[str, ...] = ("unrolled", "implicit")
@@ -63,6 +67,8 @@ PRESETS = {
         starts=1,
         growing=(2, 4),
         control_steps=3,
+        exported=(2,),
+        exported_steps=20,
         counts=(2,),
         remembered=(OURS,),
         methods=("unrolled",),

@@ -35,7 +35,11 @@ class Structures:
         number = ctypes.c_float if single else ctypes.c_double
         steps, n_s, n_u, n_h = (sizes[name] for name in ("horizon", "n_states", "n_actions", "n_path"))
         shapes = dict(
-            zip(GUESS, [(steps + 1, n_s), (steps, n_u), (steps, n_s), (steps, n_s), (steps, n_u), (steps, n_h)], strict=True)
+            zip(
+                GUESS,
+                [(steps + 1, n_s), (steps, n_u), (steps, n_s), (steps, n_s), (steps, n_u), (steps, n_h)],
+                strict=True,
+            )
         )
 
         def array(length: int) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ class Controller:
     """
 
     def __init__(self, folder: str | Path, flags: Sequence[str] = NATIVE, compiler: str | None = None) -> None:
-        """Build, unless the cache has it, and load. Raises ProblemError if the folder is not a controller of this version."""
+        """Build, unless the cache has it, and load. Raises ProblemError for a folder that is no controller."""
         self.folder = Path(folder)
         self.manifest = _manifest(self.folder)
         self.structures = Structures.of(self.manifest["problem"], any("_FLOAT" in flag for flag in flags))
@@ -105,6 +106,13 @@ class Controller:
         )
         return Gradients(by_psi, by_start, by_context, np.zeros(0), found.residual), status == 0
 
+    def shift(self, problem: OCP, solution: Solution, psi: ArrayLike = ()) -> Solution:
+        """The guess for the next period: all one step earlier, the last action again, the last multipliers kept."""
+        plan, parameters = self._plain(solution), self.structures.array(psi).ravel()
+        self._call("shift", self._controller, ctypes.c_void_p(address(parameters)), ctypes.byref(plan))
+        arrays = self._arrays(plan)
+        return replace(solution, trajectory=Trajectory(*arrays[:2]), multipliers=Multipliers(*arrays[2:]))
+
     def set(self, **settings: Any) -> None:
         """Change settings of `kpirl_mpc_settings`, such as tolerance, barrier or steps."""
         current = self.structures.settings()
@@ -172,11 +180,15 @@ class Controller:
                 np.ctypeslib.as_array(getattr(plan, name))[:] = part.ravel()
         return plan
 
-    def _solution(self, found: Any) -> Solution:
-        arrays = [
-            np.array(getattr(found, name), float)[: shape[0] * shape[1]].reshape(shape)
+    def _arrays(self, plan: Any) -> list[Array]:
+        """Trajectory and multipliers, in the order of the structure."""
+        return [
+            np.array(getattr(plan, name), float)[: shape[0] * shape[1]].reshape(shape)
             for name, shape in self.structures.shapes.items()
         ]
+
+    def _solution(self, found: Any) -> Solution:
+        arrays = self._arrays(found)
         residuals = KKTResiduals(
             stationarity=found.stationarity,
             feasibility=found.feasibility,

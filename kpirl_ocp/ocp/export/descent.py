@@ -78,9 +78,7 @@ def _linearise(problem: OCP) -> tuple[list[ca.MX], ReducedCost, Coefficients, Li
     return inputs, reduced, theta, reduced.linearise(s0, u, psi, theta)
 
 
-def _by_start(
-    problem: OCP, at: Linearisation, back: Adjoint, by_states: ca.MX, w: ca.MX, psi: ca.MX
-) -> ca.MX:
+def _by_start(problem: OCP, at: Linearisation, back: Adjoint, by_states: ca.MX, w: ca.MX, psi: ca.MX) -> ca.MX:
     """d(w . dJ/dU)/ds_0 = l_su w_0 + f_s' dlambda_1 + (lambda_1 . f)_su w_0, the tangent of lambda_0 along w."""
     derivatives, n_s = problem.dynamics_derivatives, problem.n_states
     stage = at.rollout.states[:, 0], at.rollout.actions[:, 0], psi

@@ -120,7 +120,7 @@ def _config(problem: OCP, target: Target) -> str:
 
 def _data(problem: OCP, solver: Solver, target: Target, psi: Array) -> str:
     """The settings, bounds, psi and version that a new controller has."""
-    bounds = ",\n    ".join(numbers(bound) for bound in (*problem.state_bounds, *problem.action_bounds))
+    bounds = ",\n    ".join(numbers(np.asarray(bound)) for bound in (*problem.state_bounds, *problem.action_bounds))
     sizes = ", ".join(f"{name} = {value}" for name, value in dimensions(problem).items())
     described = f"kpirl_ocp {version('kpirl-ocp')}; {solver}; {sizes}".replace('"', "'")
     settings = f"{target.max_iterations}, {target.steps}, {number(target.tolerance)}, {number(target.barrier)}"

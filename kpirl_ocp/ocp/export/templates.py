@@ -24,6 +24,6 @@ def check_prefix(prefix: str) -> str:
     """Raise ProblemError unless C names may begin with this."""
     if not (prefix.isidentifier() and prefix.isascii() and prefix == prefix.lower() and not prefix.startswith("_")):
         raise ProblemError(
-            f"prefix must be a lower-case C name such as 'left_arm', which files and functions begin with; got {prefix!r}."
+            f"prefix must be a lower-case C name such as 'left_arm', for files and functions; got {prefix!r}."
         )
     return prefix

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: MIT
  *
  * How long a solve takes: a warm-started closed loop on the exported model, with a little noise and a goal that moves on a
- * circle. Arguments: how many steps, size of the noise, radius of the circle. Needs POSIX for its clock.
+ * circle. Arguments: how many steps, size of the noise, radius of the circle; and, to change the settings, steps of
+ * the real-time iteration (0: until it converges), barrier and tolerance. Needs POSIX for its clock.
  */
 #define _POSIX_C_SOURCE 199309L
 #include <math.h>
@@ -43,7 +44,12 @@ int main(int argc, char **argv) {
   if (!seconds || kpirl_mpc_init(&mpc, &memory, sizeof memory) < 0) return 1;
   kpirl_mpc_get_settings(mpc, &settings);
   settings.now = now;
-  kpirl_mpc_set_settings(mpc, &settings);
+  if (argc > 6) {
+    settings.steps = atoi(argv[4]);
+    settings.barrier = (kpirl_mpc_real)atof(argv[5]);
+    settings.tolerance = (kpirl_mpc_real)atof(argv[6]);
+  }
+  if (kpirl_mpc_set_settings(mpc, &settings) != KPIRL_MPC_CONVERGED) return 1;
   memcpy(state, kpirl_mpc_record_state[0], sizeof state);
   memset(goal, 0, sizeof goal);
   for (step = -10; step < steps; ++step) { /* the first ten warm up */

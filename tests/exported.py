@@ -1,0 +1,49 @@
+"""Exported folders for tests, each written once, and how their C is built and run."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+import pytest
+from problems import TABLE, Case
+
+from kpirl_ocp.ocp.export import export_c
+
+STRICT = ("-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+COMPILERS = [
+    pytest.param(name, marks=pytest.mark.skipif(shutil.which(name) is None, reason=f"there is no {name}"))
+    for name in ("gcc", "clang")
+]
+C = Path(__file__).parent / "c"
+_SCRATCH = tempfile.TemporaryDirectory()
+
+
+@lru_cache
+def folder(name: str, solver, prefix: str = "kpirl_mpc") -> tuple[Path, Case]:
+    """The exported problem `name` of the table."""
+    case = TABLE[name]()
+    out = Path(_SCRATCH.name) / f"{len(list(Path(_SCRATCH.name).iterdir()))}"
+    seen = case.demonstration
+    return export_c(case.problem, solver, out, prefix=prefix, psi=case.psi, examples=[(seen.s0, seen.context)]), case
+
+
+def built(out: Path, source: Path, *flags: str, compiler: str = "gcc", suffix: str = "*.c") -> str:
+    """What a program made of a source and a folder prints; its compiler must be silent."""
+    program = out / f"{source.stem}.out"
+    sources = [str(source), *map(str, sorted(out.glob(suffix)))]
+    command = [compiler, *flags, f"-I{out}", *sources, "-o", str(program), "-lm", "-lpthread"]
+    compiled = subprocess.run(command, capture_output=True, text=True)
+    assert compiled.returncode == 0, compiled.stderr[:3000]
+    assert not compiled.stderr
+    return ran(program)
+
+
+def ran(program: Path, *arguments: str) -> str:
+    """What it prints; it must succeed."""
+    done = subprocess.run([str(program), *arguments], capture_output=True, text=True)
+    assert done.returncode == 0, (done.stdout + done.stderr)[-3000:]
+    return done.stdout

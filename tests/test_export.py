@@ -1,0 +1,190 @@
+"""The exported controller does what the Python solver does: same status, same iterations, same numbers."""
+
+import re
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from exported import COMPILERS, STRICT, folder
+from problems import TABLE
+
+from kpirl_ocp import Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory, Unrolled
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.export import Controller, export_c
+from kpirl_ocp.ocp.response import Response
+from kpirl_ocp.ocp.sensitivity import Instance
+from kpirl_ocp.ocp.sqp import SQP
+
+CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
+SETTINGS = {
+    "converged": (Riccati(), {}),
+    "real-time": (REAL_TIME, {"steps": 1, "barrier": 1e-2}),
+    "smoothed": (Riccati(barrier=1e-4), {"barrier": 1e-4}),
+}
+
+
+def controller(name, solver=CONVERGED, compiler="gcc", **settings):
+    out, case = folder(name, solver)
+    loaded = Controller(out, STRICT, compiler)
+    if settings:
+        loaded.set(**settings)
+    return loaded, case
+
+
+def assert_same(ours, reference, tolerance=1e-9):
+    assert (ours.status, ours.iterations) == (reference.status, reference.iterations)
+    parts = [(ours.actions, reference.actions), (ours.states, reference.states)]
+    parts += [(getattr(ours.multipliers, n), getattr(reference.multipliers, n)) for n in vars(reference.multipliers)]
+    for found, expected in parts:
+        np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * max(1, np.abs(expected).max(initial=0)))
+    assert ours.objective == pytest.approx(reference.objective, rel=tolerance)
+    assert ours.residuals.scale == pytest.approx(reference.residuals.scale, rel=tolerance)
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("form", SETTINGS)
+@pytest.mark.parametrize("name", ["integrator", "swing-up", "tanh network"])
+def test_interior_point_method_is_that_of_python(name, form, compiler):
+    solver, settings = SETTINGS[form]
+    ours, case = controller(name, compiler=compiler, **settings)
+    problem, seen, rng = case.problem, case.demonstration, np.random.default_rng(0)
+    guess = None
+    for start in seen.s0 + 0.03 * np.arange(6)[:, None] * rng.normal(size=(6, len(seen.s0))):
+        reference = solver.solve(problem, start, case.psi, seen.context, guess)
+        assert_same(ours.solve(problem, start, case.psi, seen.context, guess), reference)
+        guess = reference if reference.status.ok else None
+
+
+def test_a_trajectory_as_guess_is_a_cold_start_from_there():
+    ours, case = controller("integrator")
+    actions = np.full((case.problem.horizon, case.problem.n_actions), 0.1)
+    guess = case.problem.simulate(case.demonstration.s0, actions, case.psi)
+    arguments = (case.problem, case.demonstration.s0, case.psi, case.demonstration.context, guess)
+    assert_same(ours.solve(*arguments), Riccati().solve(*arguments))
+
+
+@pytest.mark.parametrize("project", [False, True])
+def test_gradient_descent_and_its_hypergradient_are_those_of_python(project, tmp_path):
+    case = TABLE["pendulum"]()
+    problem = replace(case.problem, state_bounds=(-np.inf, np.inf)) if project else case.problem.unconstrained()
+    solver, seen = GradientDescent(8, 0.02, project=project), case.demonstration
+    ours = Controller(export_c(problem, solver, tmp_path, psi=case.psi), STRICT)
+    plan = ours.solve(problem, seen.s0, case.psi, seen.context)
+    assert_same(plan, solver.solve(problem, seen.s0, case.psi, seen.context))
+
+    difference = np.array(problem.observe(plan.states.T)) - seen.observations.T
+    slopes = np.zeros_like(plan.states)
+    slopes[:, : len(difference)] = 2 * difference.T
+    nothing = np.zeros_like(plan.actions)
+    found, believed = ours.gradient(problem, seen.s0, case.psi, seen.context, plan, slopes, nothing)
+    assert believed
+    np.testing.assert_allclose(found.psi, Unrolled(solver)(problem, seen, case.psi).gradient, rtol=1e-12)
+
+    def loss(start):
+        states = solver.solve(problem, start, case.psi, seen.context).states
+        return np.sum((np.array(problem.observe(states.T)) - seen.observations.T) ** 2)
+
+    steps = 1e-6 * np.eye(len(seen.s0))
+    slope = [(loss(seen.s0 + step) - loss(seen.s0 - step)) / 2e-6 for step in steps]
+    np.testing.assert_allclose(found.s0, slope, rtol=1e-6, atol=1e-6)
+
+    moved = replace(plan, trajectory=Trajectory(plan.states, plan.actions + 1e-6))
+    assert not ours.gradient(problem, seen.s0, case.psi, seen.context, moved, slopes, nothing)[1]
+
+
+@pytest.mark.parametrize(("barrier", "tolerance"), [(1e-4, 1e-11), (0.0, 1e-5)])
+@pytest.mark.parametrize("name", ["integrator", "swing-up", "tanh network"])
+def test_hypergradient_is_the_implicit_one(name, barrier, tolerance):
+    """At a barrier that of the same smoothed problem; without one up to what the last tau of the solver leaves."""
+    ours, case = controller(name, barrier=barrier)
+    problem, seen, rng = case.problem, case.demonstration, np.random.default_rng(1)
+    plan = Riccati(barrier=barrier).solve(problem, seen.s0, case.psi, seen.context)
+    by_states, by_actions = rng.normal(size=plan.states.shape), rng.normal(size=plan.actions.shape)
+    instance = Instance(problem, *problem.inputs(seen.s0, case.psi, seen.context), barrier)
+    slope = np.concatenate([by_states[1:].ravel(), by_actions.ravel()])
+    expected = Response.at(instance, plan).pull(slope, by_states[0])
+    found, believed = ours.gradient(problem, seen.s0, case.psi, seen.context, plan, by_states, by_actions)
+    assert believed
+    for key in ("psi", "s0", "context"):
+        reference = getattr(expected, key)
+        np.testing.assert_allclose(
+            getattr(found, key), reference, rtol=0, atol=tolerance * max(1, np.abs(reference).max(initial=0))
+        )
+
+
+def test_a_plan_that_is_no_solution_has_no_gradient_to_be_believed():
+    ours, case = controller("integrator")
+    seen = case.demonstration
+    plan = Riccati(max_iterations=1).solve(case.problem, seen.s0, case.psi, seen.context)
+    slopes = np.ones_like(plan.states), np.ones_like(plan.actions)
+    assert not ours.gradient(case.problem, seen.s0, case.psi, seen.context, plan, *slopes)[1]
+
+
+def test_sqp_is_that_of_python_with_path_constraints(tmp_path):
+    case = TABLE["integrator"]()
+    seen, solver = case.demonstration, SQP()
+    ours = Controller(export_c(case.problem, solver, tmp_path, psi=case.psi), STRICT)
+    found = ours.solve(case.problem, seen.s0, case.psi, seen.context)
+    reference = solver.solve(case.problem, seen.s0, case.psi, seen.context)
+    assert found.status is reference.status is Status.CONVERGED
+    np.testing.assert_allclose(found.actions, reference.actions, rtol=0, atol=1e-12)
+    optimum = Riccati().solve(case.problem, seen.s0, case.psi, seen.context)
+    np.testing.assert_allclose(found.actions, optimum.actions, atol=1e-8)
+
+
+def test_bounds_are_those_of_the_problem_at_hand():
+    ours, case = controller("swing-up")
+    seen, lower, upper = case.demonstration, *case.problem.action_bounds
+    tighter = replace(case.problem, action_bounds=(0.8 * lower, 0.7 * upper))
+    reference = Riccati().solve(tighter, seen.s0, case.psi, seen.context)
+    assert_same(ours.solve(tighter, seen.s0, case.psi, seen.context), reference)
+    with pytest.raises(ProblemError, match="other bounds are finite"):
+        ours.solve(replace(case.problem, action_bounds=(-np.inf, np.inf)), seen.s0, case.psi, seen.context)
+
+
+def test_another_problem_is_refused():
+    ours, case = controller("integrator")
+    other = TABLE["swing-up"]().problem
+    with pytest.raises(ProblemError, match="was exported with"):
+        ours.solve(other, np.zeros(other.n_states), np.ones(2), np.zeros(other.n_context))
+    seen = case.demonstration
+    longer = replace(case.problem, horizon=case.problem.horizon + 1, schedule=None)
+    with pytest.raises(ProblemError, match="horizon"):
+        ours.solve(longer, seen.s0, case.psi, seen.context)
+    inputs = [
+        ca.SX.sym(name, case.problem.stage_cost.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d"))
+    ]
+    dearer = ca.Function("stage_cost", inputs, [2 * case.problem.stage_cost(*inputs)])
+    with pytest.raises(ProblemError, match="functions or schedule differ"):
+        ours.solve(replace(case.problem, stage_cost=dearer), seen.s0, case.psi, seen.context)
+
+
+@pytest.mark.parametrize("solver", [Ipopt(), Fatrop()])
+def test_what_cannot_be_exported_is_refused_with_the_alternatives(solver, tmp_path):
+    with pytest.raises(ProblemError, match=r"Riccati\(steps=1.*GradientDescent.*SQP"):
+        export_c(TABLE["lqr"]().problem, solver, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("prefix", ["Left", "2arms", "_arm", "left-arm", "arm é", ""])
+def test_a_prefix_that_is_no_lower_case_c_name_is_refused(prefix, tmp_path):
+    with pytest.raises(ProblemError, match="prefix must be"):
+        export_c(TABLE["lqr"]().problem, Riccati(), tmp_path, prefix=prefix)
+
+
+def test_status_codes_are_those_of_python():
+    header = (folder("integrator", Riccati())[0] / "kpirl_mpc.h").read_text()
+    codes = {name: int(code) for name, code in re.findall(r"KPIRL_MPC_(\w+) = (-?\d+)", header)}
+    assert {name: code for name, code in codes.items() if 0 <= code < len(Status)} == {
+        status.name: i for i, status in enumerate(Status)
+    }
+    assert all(code < 0 for name, code in codes.items() if name.startswith("ERROR"))
+
+
+def test_a_folder_of_another_format_or_none_is_refused(tmp_path):
+    with pytest.raises(ProblemError, match="does not exist"):
+        Controller(tmp_path)
+    (tmp_path / "manifest.json").write_text('{"format": 0}')
+    with pytest.raises(ProblemError, match="export it again"):
+        Controller(tmp_path)

@@ -1,0 +1,152 @@
+"""The exported C by itself: compilers, sanitizers, memory, threads, deadlines, and the folder's own tests."""
+
+import ctypes
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from exported import COMPILERS, STRICT, C, built, folder, ran
+from problems import TABLE
+
+from kpirl_ocp import Riccati
+from kpirl_ocp.ocp.export import Controller, generated
+from kpirl_ocp.ocp.sqp import SQP, program
+
+CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
+SANITIZED = ("-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+COUNTED = ("-std=c99", "-DCOUNT_ALLOCATIONS", "-Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc,--wrap=free")
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_the_recorded_solves_are_reproduced(compiler):
+    out, _ = folder("integrator", CONVERGED)
+    assert "all agree" in built(out, out / "test/test.c", *STRICT, compiler=compiler)
+
+
+@pytest.mark.parametrize("macro", ["FLOAT", "NO_HEAP"])
+def test_other_builds_reproduce_them_too(macro):
+    out, _ = folder("integrator", CONVERGED)
+    assert "all agree" in built(out, out / "test/test.c", *STRICT, f"-DKPIRL_MPC_{macro}")
+
+
+@pytest.mark.parametrize("solver", [CONVERGED, REAL_TIME])
+def test_random_inputs_neither_break_anything_nor_use_the_heap(solver):
+    out, _ = folder("integrator", solver)
+    built(out, out / "test/stress.c", *SANITIZED)
+    assert "all hold" in ran(out / "stress.out", "400", "7")
+    built(out, out / "test/stress.c", *COUNTED)
+    assert "all hold" in ran(out / "stress.out", "300")
+
+
+def test_the_example_plans_to_the_end():
+    out, case = folder("integrator", CONVERGED)
+    lines = built(out, out / "example/main.c", *STRICT).splitlines()
+    assert sum("  ok " in line for line in lines) == case.problem.horizon
+
+
+def test_two_controllers_in_two_threads_do_not_meet():
+    out, _ = folder("integrator", CONVERGED)
+    assert "the same" in built(out, C / "threads.c", "-std=c99", "-O1", "-pthread")
+
+
+def test_two_prefixes_link_into_one_program(tmp_path):
+    left, first = folder("integrator", CONVERGED, "left")
+    right, second = folder("swing-up", CONVERGED, "right")
+    objects = []
+    for out in (left, right):
+        for source in out.glob("*.c"):
+            objects.append(str(tmp_path / f"{source.stem}.o"))
+            subprocess.run(["gcc", "-std=c99", "-O1", "-c", str(source), "-o", objects[-1]], check=True)
+    command = [
+        "gcc",
+        *STRICT,
+        f"-I{left}",
+        f"-I{right}",
+        str(C / "pair.c"),
+        *objects,
+        "-o",
+        str(tmp_path / "pair"),
+        "-lm",
+    ]
+    subprocess.run(command, check=True)
+    assert ran(tmp_path / "pair").split() == [str(case.problem.n_states) for case in (first, second)]
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
+def test_cpp_includes_it_and_has_a_class(tmp_path):
+    out, _ = folder("integrator", CONVERGED)
+    objects = []
+    for source in out.glob("*.c"):
+        objects.append(str(tmp_path / f"{source.stem}.o"))
+        subprocess.run(["gcc", "-std=c99", "-O1", "-c", str(source), "-o", objects[-1]], check=True)
+    flags = ["-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{out}"]
+    subprocess.run(["g++", *flags, str(C / "inclusion.cpp"), *objects, "-o", str(tmp_path / "cpp"), "-lm"], check=True)
+    assert "NULL" in ran(tmp_path / "cpp")
+
+
+@pytest.mark.skipif(shutil.which("clang") is None, reason="libFuzzer comes with clang")
+def test_a_short_fuzz_finds_nothing():
+    out, _ = folder("lqr", CONVERGED)
+    program = out / "fuzz"
+    flags = ["-std=c99", "-O0", "-fsanitize=fuzzer,address,undefined", f"-I{out}"]
+    sources = [str(out / "test/fuzz.c"), *map(str, out.glob("*.c"))]
+    subprocess.run(["clang", *flags, *sources, "-o", str(program), "-lm"], check=True)
+    ran(program, "-runs=100", "-seed=1", "-max_len=512")
+
+
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")
+def test_cmake_builds_and_tests_it(tmp_path):
+    out, _ = folder("integrator", REAL_TIME)
+    subprocess.run(["cmake", "-S", out, "-B", tmp_path, "-DKPIRL_MPC_WERROR=ON"], check=True, capture_output=True)
+    subprocess.run(["cmake", "--build", tmp_path], check=True, capture_output=True)
+    subprocess.run(["ctest", "--test-dir", tmp_path], check=True, capture_output=True)
+    ran(tmp_path / "kpirl_mpc_example")
+
+
+def test_a_deadline_ends_the_solve_where_it_is():
+    out, case = folder("integrator", CONVERGED)
+    ours, ticks = Controller(out, STRICT), iter(range(1000))
+    clock = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p)(lambda _: next(ticks))
+    ours.set(now=ctypes.cast(clock, ctypes.c_void_p), time_limit=3.0)
+    seen = case.demonstration
+    late = ours.solve(case.problem, seen.s0, case.psi, seen.context)
+    assert late.iterations == 2  # the clock is looked at before every iteration
+    assert "time limit" in late.message
+    expected = Riccati(max_iterations=2).solve(case.problem, seen.s0, case.psi, seen.context)
+    np.testing.assert_allclose(late.actions, expected.actions, rtol=0, atol=1e-12)
+
+
+def test_shift_moves_a_plan_one_step_on():
+    out, case = folder("integrator", CONVERGED)
+    ours, seen = Controller(out, STRICT), case.demonstration
+    plan = ours.solve(case.problem, seen.s0, case.psi, seen.context)
+    shifted = ours.shift(case.problem, plan, case.psi)
+    np.testing.assert_array_equal(shifted.states[:-1], plan.states[1:])
+    last = np.array(case.problem.dynamics(plan.states[-1], plan.actions[-1], case.psi)).ravel()
+    np.testing.assert_allclose(shifted.states[-1], last, rtol=1e-14)
+    for name in ("dynamics", "state", "action", "path"):
+        before, after = getattr(plan.multipliers, name), getattr(shifted.multipliers, name)
+        np.testing.assert_array_equal(after, np.vstack([before[1:], before[-1:]]))
+    np.testing.assert_array_equal(shifted.actions, np.vstack([plan.actions[1:], plan.actions[-1:]]))
+
+
+def test_the_manifest_has_the_hashes_of_all_files():
+    out, case = folder("integrator", CONVERGED)
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["problem"]["horizon"] == case.problem.horizon
+    for name, expected in manifest["sha256"].items():
+        assert hashlib.sha256((out / name).read_bytes()).hexdigest() == expected
+
+
+def test_generated_code_has_no_globals_that_change():
+    """CasADi keeps the memory of sqpmethod in a pool behind a static counter."""
+    solver = program(TABLE["integrator"]().problem, SQP())
+    source = generated.definitions([solver])
+    assert "struct casadi_sqpmethod_data memory;" in source
+    variables = re.findall(r"^static (?!const)[^(]*;$", source, flags=re.MULTILINE)
+    assert variables == []
+    assert not re.search(r"\bmalloc\b|\bprintf\b", source)
