@@ -14,6 +14,7 @@ from functools import lru_cache
 import casadi as ca
 
 from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.stage_costs import TrajectoryCost
 
 
 @lru_cache(maxsize=64)
@@ -32,8 +33,9 @@ def follow(problem: OCP) -> ca.Function:
         target[:, 0], target[:, :steps], U + alpha * dU, K, (1 - alpha) * d, ca.repmat(psi, 1, steps)
     )
     states = ca.horzcat(target[:, 0], after)
-    values = problem.cost(states, actions, psi, context), problem.path(states, actions, psi, context)
-    outputs = [ca.densify(x) for x in (states, actions, *values)]
+    cost = TrajectoryCost(problem, 1)
+    value, *_ = cost.first(states, actions, cost.coefficients(psi, context))
+    outputs = [ca.densify(x) for x in (states, actions, value, problem.path(states, actions, psi, context))]
     return ca.Function("follow", [S, U, dS, dU, K, d, alpha, psi, context], outputs)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import casadi as ca
@@ -116,6 +117,7 @@ def stage_costs(problem: OCP) -> tuple[StageCost, StageCost]:
 
 
 _LARGE = 5e6  # operations that are written out for all stages, at most
+_TOGETHER = 16  # stages in one function: compilers take more than twice the time for one of twice the length
 
 
 @lru_cache(maxsize=64)
@@ -127,14 +129,23 @@ def _coefficients(problem: OCP) -> ca.Function:
     """
     T, schedule = problem.horizon, ca.DM(np.asarray(problem.schedule, float)).T  # (n_d, T+1)
     running, final = (cost.coefficients for cost in stage_costs(problem))
-    scalar = all(f.is_a("SXFunction") for f in (running, final)) and T * running.n_instructions() <= _LARGE
-    kind = ca.SX if scalar else ca.MX
-    psi, context = kind.sym("psi", problem.n_parameters), kind.sym("c", problem.n_context)
-    last = final(psi, context, schedule[:, T])
-    if scalar:
-        stages = ca.vertcat(*(running(psi, context, ca.sparsify(schedule[:, t])) for t in range(T)))
-        outputs = ca.cse([stages, last])
+    psi, context = ca.MX.sym("psi", problem.n_parameters), ca.MX.sym("c", problem.n_context)
+    if all(f.is_a("SXFunction") for f in (running, final)) and T * running.n_instructions() <= _LARGE:
+        ends = [*range(0, T, _TOGETHER), T]
+        pieces = [_piece(running, schedule[:, begin:end]) for begin, end in pairwise(ends)]
+        stages = ca.vertcat(*(piece(psi[used], context) for piece, used in pieces))
+        piece, used = _piece(final, schedule[:, T])
+        last = piece(psi[used], context)
     else:
         wide = ca.repmat(psi, 1, T), ca.repmat(context, 1, T), schedule[:, :T]
-        outputs = [ca.vec(running.map(T)(*wide)), last]
-    return ca.Function("coefficients", [psi, context], outputs)
+        stages, last = ca.vec(running.map(T)(*wide)), final(psi, context, schedule[:, T])
+    return ca.Function("coefficients", [psi, context], [stages, last])
+
+
+def _piece(coefficients: ca.Function, schedule: ca.DM) -> tuple[ca.Function, list[int]]:
+    """(psi[used], c) -> theta of some stages, with the numbers (n_d, ..) of their schedule in it; and what is used."""
+    psi, context = (ca.SX.sym(name, coefficients.size1_in(i)) for i, name in enumerate(("psi", "c")))
+    stages = ca.vertcat(*(coefficients(psi, context, ca.sparsify(d)) for d in ca.horzsplit(schedule)))
+    _, columns = ca.jacobian_sparsity(stages, psi).get_triplet()
+    used = sorted(set(columns))
+    return ca.Function("piece", [psi[used], context], ca.cse([stages])), used

@@ -11,9 +11,11 @@ trajectories run side by side: the columns of an array (n, T B) are ordered by t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import NamedTuple, Protocol
 
 import casadi as ca
@@ -161,3 +163,34 @@ def along(
         outputs = stage.call([start, *(block[t] for block in blocks)])
         start, rows[t] = outputs[0], outputs
     return [ca.horzcat(*column) for column in zip(*rows, strict=True)]
+
+
+def in_groups(
+    stage: ca.Function, start: ca.MX, inputs: Sequence[ca.MX], steps: int, backwards: bool = False
+) -> list[ca.MX]:
+    """`along` for a stage of its own B = 1; many steps become groups, which takes less code and one more copy."""
+    if steps <= _ALONE:
+        return along(stage, start, inputs, steps, backwards)
+    size = math.isqrt(steps)
+    lengths = [size] * (steps // size) + ([steps % size] if steps % size else [])
+    groups = {length: _group(stage, length, backwards) for length in set(lengths)}
+    ends = list(accumulate(lengths, initial=0))
+    blocks = [ca.horzsplit(array, [end * (array.size2() // steps) for end in ends]) for array in inputs]
+    rows: list[list[ca.MX]] = [[] for _ in lengths]
+    order = range(len(lengths))
+    for i in reversed(order) if backwards else order:
+        start, *rows[i] = groups[lengths[i]].call([start, *(block[i] for block in blocks)])
+    return [ca.horzcat(*column) for column in zip(*rows, strict=True)]
+
+
+def _group(stage: ca.Function, length: int, backwards: bool) -> ca.Function:
+    """Some steps: (carried, inputs side by side) -> what is carried on, and all outputs side by side."""
+    start, *inputs = stage.mx_in()
+    wide = [ca.MX.sym("x", array.size1(), array.size2() * length) for array in inputs]
+    outputs = along(stage, start, wide, length, backwards)
+    width = start.size2()
+    carried = outputs[0][:, :width] if backwards else outputs[0][:, -width:]
+    return ca.Function("group", [start, *wide], [carried, *outputs])
+
+
+_ALONE = 32  # so many steps, and no more, are written out one by one
