@@ -25,6 +25,7 @@ from kpirl_ocp.ocp.network_files import load_dynamics
 from kpirl_ocp.ocp.network_onnx import load_onnx
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.riccati import Riccati
+from kpirl_ocp.ocp.sqp import SQP
 from kpirl_ocp.types import Demonstration, Solution, Status, Trajectory
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "MLP",
     "OCP",
     "RBF",
+    "SQP",
     "Adam",
     "Default",
     "Demonstration",

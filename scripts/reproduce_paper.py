@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from reproduction import data, learning, placing, reaching, report, robustness, simulation
+from reproduction import axes, data, learning, placing, reaching, report, robustness, simulation
 from reproduction.data import Data, Models
 from reproduction.outcome import Outcome, claims
 from reproduction.page import Page
@@ -77,7 +77,10 @@ def experiments(models: Models, material: Data, preset: Preset, seeds: Sequence[
     )
     stage(
         "4/6 reaching, executed",
-        reaching.execution_jobs(models, material.reaching, learned, preset, seeds[0]),
+        [
+            *reaching.execution_jobs(models, material.reaching, learned, preset, seeds[0]),
+            *axes.jobs(models, material.reaching, learned, preset, seeds),
+        ],
     )
     stage("5/6 placing, executed", placing.execution_jobs(models, found, learned))
     stage("6/6 robustness", robustness.jobs(models, found, learned, preset.cases))

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from kpirl_ocp.perception import detector_losses as losses
-from kpirl_ocp.perception.autoencoder import Encoded, KeypointAutoencoder
+from kpirl_ocp.perception.autoencoder import BasicBlock, Encoded, KeypointAutoencoder
 from kpirl_ocp.perception.keypoints import centres, expectation, gaussian_maps, sharpened, spot, to_pixels
 
 torch.set_num_threads(1)
@@ -404,6 +404,20 @@ def test_every_weight_takes_part_in_the_training(model, clips):
     (painted.square().sum() + keypoints.square().sum()).backward()
     idle = [name for name, weight in model.named_parameters() if weight.grad is None or not weight.grad.any()]
     assert idle == []
+
+
+def test_a_block_of_few_channels_and_a_stride_has_the_gradient_of_double_precision():
+    torch.manual_seed(0)
+    block = BasicBlock(4, 8, stride=2)
+    x = torch.rand(10, 4, 12, 12).contiguous(memory_format=torch.channels_last)
+
+    def gradients(dtype):
+        block.to(dtype).zero_grad()
+        block(x.to(dtype)).square().mean().backward()
+        return [weight.grad.clone().double() for weight in block.parameters()]
+
+    for single, double in zip(gradients(torch.float32), gradients(torch.float64), strict=True):
+        assert_close(single, double, atol=1e-5 * double.abs().max().item())
 
 
 def test_an_image_size_that_is_no_multiple_of_four_is_refused():

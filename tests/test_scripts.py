@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from exported import STRICT, built
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))
@@ -24,7 +25,7 @@ TINY = {
 }
 
 
-TESTED_ELSEWHERE = {"collect_data.py", "train_keypoints.py", "train_dynamics.py", "reproduce_paper.py"}
+TESTED_ELSEWHERE = {"export_mpc.py", "collect_data.py", "train_keypoints.py", "train_dynamics.py", "reproduce_paper.py"}
 
 
 def call(script, *arguments):
@@ -83,6 +84,16 @@ def test_a_cost_can_be_learned_from_two_demonstrations_and_needs_one_more_for_te
 HELP_OF = {"collect_data.py": ["keypoints"]}  # a subcommand has the options
 
 
+@pytest.mark.parametrize(
+    "options", [["--horizon", "2"], ["--solver", "gradient-descent", "--horizon", "2"], ["--cost", "{cost}"]]
+)
+def test_an_exported_controller_passes_its_own_test(options, inputs, tmp_path):
+    result = call("export_mpc.py", *(option.format(**inputs) for option in options), "--out", str(tmp_path))
+    assert result.returncode == 0, result.stderr
+    assert f"cmake -S {tmp_path}" in result.stdout
+    assert "all agree" in built(tmp_path, tmp_path / "test/test.c", *STRICT)
+
+
 @pytest.mark.parametrize("script", [script.name for script in SCRIPTS])
 def test_help_says_what_the_script_is_for(script):
     result = call(script, *HELP_OF.get(script, []), "--help")
@@ -102,6 +113,9 @@ def test_help_says_what_the_script_is_for(script):
         ("solve_ocp.py", ["--robot", "missing.urdf"], "missing.urdf"),
         ("solve_ocp.py", ["--horizon", "0"], "horizon"),
         ("solve_ocp.py", ["--effort", "-1"], "effort"),
+        ("export_mpc.py", ["--horizon", "0"], "horizon"),
+        ("export_mpc.py", ["--cost", "nowhere"], "nowhere"),
+        ("export_mpc.py", ["--horizon", "1", "--prefix", "Arm"], "prefix"),
         ("make_demonstrations.py", ["--tests", "-3"], "at least one"),
         ("make_demonstrations.py", ["--horizon", "0"], "horizon"),
     ],

@@ -27,10 +27,11 @@ BARRIER = 1e-2
 REAL_TIME, CONVERGED = "real-time iteration", "converged to 1e-8"
 SOLVERS = {REAL_TIME: Riccati(steps=1, barrier=BARRIER), CONVERGED: Riccati(1e-8)}
 SETTINGS = {REAL_TIME: ("1", str(BARRIER), "1e-8"), CONVERGED: ("0", "0", "1e-8")}  # steps, barrier, tolerance
-FLOAT = "native, single precision"
-BUILDS = {"portable": PORTABLE, "native": NATIVE, FLOAT: (*NATIVE, "-DKPIRL_MPC_FLOAT")}
+FLOAT, NATIVELY = "native, single precision", "native"
+SEQUENTIAL = "sqpmethod and qrqp, once"
+BUILDS = {"portable": PORTABLE, NATIVELY: NATIVE, FLOAT: (*NATIVE, "-DKPIRL_MPC_FLOAT")}
 _NOISE, _RADIUS, _PERIOD = 1e-3, 0.03, 50
-_SLOW = 5  # steps of the solvers that take a hundred times as long
+_SLOW = 5  # steps of Ipopt, which takes a hundred times as long
 
 
 def measure(preset: Preset) -> Part:
@@ -39,7 +40,13 @@ def measure(preset: Preset) -> Part:
     rows: list[list[object]] = []
     for horizon in preset.exported:
         data = trained_network(horizon, 20) if preset.trained else random_network(preset.hidden, horizon, 20, "tanh")
-        found = {**_exported(data, preset.exported_steps), **_in_python(data, preset.control_steps)}
+        builds = {name: _with(preset.optimisation, flags) for name, flags in BUILDS.items()}
+        found = {
+            **_exported(data, builds, preset.exported_steps),
+            **_in_python(data, builds[NATIVELY], preset.control_steps),
+        }
+        if horizon == min(preset.exported):
+            found[SEQUENTIAL] = _closed_loop(data, SQP(1e-6, 20), 1, warm=False)
         numbers[str(horizon)] = found
         rows += [[horizon, name, *_cells(result)] for name, result in found.items()]
     header = ["T", "controller", "median [ms]", "least", "99 %", "worst", "iterations", "library [kB]", "memory [kB]"]
@@ -64,12 +71,16 @@ def _cells(result: Numbers) -> list[str]:
     return [*times, f"{result['iterations']:.1f}", *sizes]
 
 
-def _exported(data: Data, steps: int) -> dict[str, Numbers]:
+def _with(optimisation: str, flags: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(optimisation if flag.startswith("-O") else flag for flag in flags)
+
+
+def _exported(data: Data, builds: dict[str, tuple[str, ...]], steps: int) -> dict[str, Numbers]:
     found = {}
     with tempfile.TemporaryDirectory() as scratch:
         examples = [(data.s0[0], data.goal[0])]
         folder = export_c(data.bounded, SOLVERS[REAL_TIME], Path(scratch), psi=data.psi.ravel(), examples=examples)
-        for build, flags in BUILDS.items():
+        for build, flags in builds.items():
             library, compiled = _compile(folder, flags)
             program = _loop(folder, library, flags)
             for form, settings in SETTINGS.items():
@@ -98,26 +109,26 @@ def _loop(folder: Path, library: Path, flags: tuple[str, ...]) -> Path:
     return program
 
 
-def _in_python(data: Data, steps: int) -> dict[str, Numbers]:
+def _in_python(data: Data, flags: tuple[str, ...], steps: int) -> dict[str, Numbers]:
     """The same loop around solvers that are called from Python, the exported one among them."""
     with tempfile.TemporaryDirectory() as scratch:
         examples = [(data.s0[0], data.goal[0])]
         folder = export_c(data.bounded, SOLVERS[REAL_TIME], scratch, psi=data.psi.ravel(), examples=examples)
         return {
             f"Python, {REAL_TIME}": _closed_loop(data, SOLVERS[REAL_TIME], steps),
-            f"Controller, {REAL_TIME}": _closed_loop(data, Controller(folder), steps),
+            f"Controller, {REAL_TIME}": _closed_loop(data, Controller(folder, flags), steps),
             f"Python, {CONVERGED}": _closed_loop(data, SOLVERS[CONVERGED], steps),
-            "sqpmethod and qrqp": _closed_loop(data, SQP(1e-6, 20), min(steps, _SLOW)),
             "Ipopt": _closed_loop(data, Ipopt(1e-8), min(steps, _SLOW)),
         }
 
 
-def _closed_loop(data: Data, solver: Solver, steps: int) -> Numbers:
+def _closed_loop(data: Data, solver: Solver, steps: int, warm: bool = True) -> Numbers:
     """Wall times of warm-started solves."""
     rng, state, psi = np.random.default_rng(0), data.s0[0], data.psi.ravel()
     spent, iterations = [], []
     plan: Solution = Riccati(1e-8, barrier=BARRIER).solve(data.bounded, state, psi, data.goal[0])
-    solver.solve(data.bounded, state, psi, data.goal[0], plan)  # builds and compiles
+    if warm:
+        solver.solve(data.bounded, state, psi, data.goal[0], plan)  # builds and compiles
     for step in range(steps):
         angle = 2 * np.pi * step / _PERIOD
         goal = data.goal[0] + _RADIUS * np.tile([np.cos(angle), np.sin(angle)], N_Z // 2)

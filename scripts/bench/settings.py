@@ -18,7 +18,7 @@ class Preset:
     paper_steps, paper_horizon: N and T of the paper. long_steps: N at which unrolling should cost more than solving.
     demonstrations: how many are evaluated at once. starts: solved OCPs per model. growing: horizons for growth.
     control_steps: of the closed loop.
-    exported: horizons of exported controllers. exported_steps: of their closed loop.
+    exported: horizons of exported controllers. exported_steps: of their closed loop. optimisation: of their compiler.
     counts: iterations at which memory is measured.
     remembered: contenders whose memory is measured. methods: of learn_cost.py whose compilation is timed.
     bases: of the keypoint costs on the iiwa. trained: measure the model that comes with the package, too.
@@ -38,6 +38,7 @@ class Preset:
     control_steps: int = 100
     exported: tuple[int, ...] = (10, 25)
     exported_steps: int = 10000
+    optimisation: str = "-O3"
     counts: tuple[int, ...] = (10, 100, 1000)
     remembered: tuple[str, ...] = NAMES
     methods: tuple[str, ...] = ("unrolled", "implicit")
@@ -69,6 +70,7 @@ PRESETS = {
         control_steps=3,
         exported=(2,),
         exported_steps=20,
+        optimisation="-O0",
         counts=(2,),
         remembered=(OURS,),
         methods=("unrolled",),

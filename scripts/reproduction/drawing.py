@@ -108,16 +108,16 @@ def keypoint_paths(axis: Axes, wanted: Array, done: Array) -> None:
 
 def success(table: Mapping[str, Mapping[str, float]], threshold: str) -> Figure:
     """Success rates: condition -> contender -> share."""
-    figure, (axis,) = new_figure(1, 1, width=9.0, height=3.4)
+    figure, (axis,) = new_figure(1, 1, width=12.0, height=3.6)
     names = list(next(iter(table.values())))
     width = 0.8 / len(names)
     for index, name in enumerate(names):
         places = np.arange(len(table)) + (index - (len(names) - 1) / 2) * width
-        axis.bar(
-            places, [100 * row[name] for row in table.values()], 0.9 * width, color=(*COLOURS, GREY)[index], label=name
-        )
+        rates = [100 * row[name] for row in table.values()]
+        drawn = axis.bar(places, rates, 0.9 * width, color=(*COLOURS, GREY)[index], label=name)
+        axis.bar_label(drawn, fmt="%.0f", fontsize=6)
     axis.set_xticks(range(len(table)), [name.replace(", ", ",\n") for name in table], fontsize=8)
-    axis.set(ylabel=f"success: {threshold} [%]", ylim=(0, 100))
+    axis.set(ylabel=f"success: {threshold} [%]", ylim=(0, 108))
     axis.grid(alpha=0.3, axis="y")
     axis.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure

@@ -9,8 +9,17 @@ import numpy as np
 
 from kpirl_ocp.irl.visual_learning import InnerLoop
 from kpirl_ocp.types import Array
-from reproduction import placing, reaching, robustness
-from reproduction.learning import APPRENTICE, DEFAULT, DEFAULT_MORE_STEPS, MORE_STEPS, UNROLLED, Contender, Tried
+from reproduction import axes, placing, reaching, robustness
+from reproduction.learning import (
+    APPRENTICE,
+    DEFAULT,
+    DEFAULT_MORE_STEPS,
+    IMPLICIT,
+    MORE_STEPS,
+    UNROLLED,
+    Contender,
+    Tried,
+)
 from reproduction.settings import STARTS, Preset
 from reproduction.sweep import Result
 
@@ -18,6 +27,7 @@ from reproduction.sweep import Result
 _LOOPS = (
     ("one step", UNROLLED, (DEFAULT, APPRENTICE)),
     ("more steps", MORE_STEPS, (DEFAULT_MORE_STEPS,)),
+    ("converged", IMPLICIT, (DEFAULT_MORE_STEPS,)),
 )
 _UNSTABLE = 0.05  # share of iterations in which the loss rises
 
@@ -39,6 +49,12 @@ class Outcome:
         """A result of experiment 1 from every seed in which the cost was learned."""
         found = [self.results[reaching.name_of(contender, count, seed)] for seed in self.seeds]
         return [result[key] for result in found if not result["failure"]]
+
+    def without_axis(self, contender: Contender, key: str) -> Array:
+        """A result of `axes`, (seeds,)."""
+        count = max(self.preset.demonstrations)
+        names = [axes.name_of(reaching.name_of(contender, count, seed)) for seed in self.seeds]
+        return np.array([self.results[name][key] for name in names if name in self.results])
 
     def placing(self, contender: Contender, key: str) -> list[Array]:
         """A result of learning in experiment 2 from every seed in which the cost was learned."""
@@ -79,7 +95,7 @@ def claims(outcome: Outcome) -> list[Claim]:
     """The paper's findings, tested."""
     counts = outcome.preset.demonstrations
     found = [_nearer(outcome, count, *loop) for loop in _LOOPS for count in counts]
-    found += [_y_is_small(outcome, contender, max(counts)) for contender in (*UNROLLED, *MORE_STEPS)]
+    found += [_y_is_small(outcome, contender, max(counts)) for contender in (*UNROLLED, APPRENTICE, *MORE_STEPS)]
     found.append(_unstable(outcome, max(counts)))
     found += [_better_placing(outcome, start, *loop) for loop in _LOOPS for start in STARTS]
     found += [_x_then_y(outcome, contender) for contender in (*UNROLLED, *MORE_STEPS) if contender.cost != "Weighted"]

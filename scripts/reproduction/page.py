@@ -1,4 +1,4 @@
-"""One self-contained page: headings, text, tables, and figures as base64 PNGs."""
+"""One self-contained page: headings, text, tables, and figures as base64 PNGs, which also go to files beside it."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ class Page:
     def __init__(self, title: str) -> None:
         self.title = title
         self._parts: list[str] = []
+        self._figures: list[bytes] = []
 
     def heading(self, text: str, level: int = 2) -> None:
         """A heading."""
@@ -55,6 +56,7 @@ class Page:
         """A figure."""
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", dpi=110)
+        self._figures.append(buffer.getvalue())
         data = base64.b64encode(buffer.getvalue()).decode()
         text = html.escape(caption)
         self._parts.append(
@@ -66,7 +68,10 @@ class Page:
         self._parts.append(f"<pre>{html.escape(text)}</pre>")
 
     def write(self, path: Path) -> Path:
-        """The page on disk; it appears whole or not at all."""
+        """The page on disk; it appears whole or not at all. Its figures are figure_01.png, ... beside it."""
+        for number, data in enumerate(self._figures, 1):
+            with replacing(path.with_name(f"figure_{number:02d}.png")) as file:
+                file.write(data)
         with replacing(path) as file:
             file.write(_PAGE.format(title=html.escape(self.title), body="\n".join(self._parts)).encode())
         path.chmod(0o644)

@@ -11,7 +11,7 @@ import numpy as np
 from kpirl_ocp.irl.study import METHODS as STUDY_METHODS
 from kpirl_ocp.irl.tasks import TASKS
 from kpirl_ocp.types import Array
-from reproduction import drawing, placing, reaching, robustness
+from reproduction import axes, drawing, placing, reaching, robustness
 from reproduction.learning import (
     APPRENTICE,
     DEFAULT,
@@ -153,11 +153,22 @@ def _reaching(page: Page, outcome: Outcome) -> None:
     ]
     header = ["cost, demonstrations", "train loss", "test loss", "rel. distance", "x of moving", "rises", "time [s]"]
     page.table(header, rows, "Mean ± standard deviation over seeds, at the iterate with the lowest training loss.")
+    _axes(page, outcome)
     page.text("Played on the simulated arm, first seed:")
     rows = [
         [c.label, *(cell for loop in ("open", "closed") for cell in _played(outcome, c, loop))] for c in reaching.PLAYED
     ]
     page.table(["cost", "open loop", "tracking [mrad]", "closed loop (MPC)", "tracking [mrad]"], rows)
+
+
+def _axes(page: Page, outcome: Outcome) -> None:
+    page.text(
+        "The object moves along x alone, and the paper's costs give y little weight. Are the weights on y idle here? "
+        "Test loss of the costs as learned, and with the weights of one axis set to zero:"
+    )
+    keys = ("both", "without_y", "without_x")
+    rows = [[c.label, *(spread(outcome.without_axis(c, key)) for key in keys)] for c in axes.CONTENDERS]
+    page.table(["cost", "as learned", "no weight on y", "no weight on x"], rows)
 
 
 def _played(outcome: Outcome, contender: Contender, loop: str) -> list[str]:

@@ -1,0 +1,59 @@
+"""What the weights of an axis are worth: the IRL loss on the test demonstrations of reaching without them.
+
+Along y the object stays where it is, at its goal. Do weights on y hold it there, or do they not matter?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from kpirl_ocp.episodes import ArmTrack
+from kpirl_ocp.irl.evaluation import evaluate
+from kpirl_ocp.irl.visual_costs import planning_problem
+from kpirl_ocp.irl.visual_demonstrations import own_demonstration
+from kpirl_ocp.types import Demonstration
+from reproduction import reaching
+from reproduction.data import Models
+from reproduction.learning import IMPLICIT, MORE_STEPS, UNROLLED, unpacked
+from reproduction.settings import Preset
+from reproduction.sweep import Job, Result
+
+CONTENDERS = (*UNROLLED, *MORE_STEPS, *IMPLICIT)
+
+
+def jobs(
+    models: Models, tracks: Sequence[ArmTrack], learned: dict[str, Result], preset: Preset, seeds: Sequence[int]
+) -> list[Job]:
+    """One for every cost that was learned from the most demonstrations."""
+    dynamics = models.load_dynamics("reaching")
+    test = [own_demonstration(dynamics, track) for track in tracks[-preset.tests :]]
+    names = [
+        reaching.name_of(contender, max(preset.demonstrations), seed) for contender in CONTENDERS for seed in seeds
+    ]
+    return [
+        Job(name_of(name), run, {"models": models, "test": test, "learned": learned[name]})
+        for name in names
+        if not learned[name]["failure"]
+    ]
+
+
+def name_of(learned: str) -> str:
+    """Of the job about the cost of the job `learned`."""
+    return f"axes/{learned}"
+
+
+def run(models: Models, test: list[Demonstration], learned: Result) -> Result:
+    """Mean test IRL loss of the cost as learned, with no weight on y, and with no weight on x."""
+    dynamics, cost = models.load_dynamics("reaching"), unpacked(learned)
+    problem = planning_problem(dynamics, cost.horizon)
+
+    def loss(*kept: int) -> float:
+        """With the weights of these axes alone; axis 0 is x."""
+        mask = np.isin(np.arange(dynamics.n_z) % 2, kept)
+        psi = replace(cost, weights=np.where(mask, cost.weights, 0.0)).psi
+        return float(evaluate(problem, cost.solver, psi, test).losses.mean())
+
+    return {"both": loss(0, 1), "without_y": loss(0), "without_x": loss(1)}
