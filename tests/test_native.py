@@ -63,7 +63,21 @@ def test_rounding_nan_and_infinity_are_those_of_the_virtual_machine(cache):
 
 
 @needs_compiler
-@pytest.mark.parametrize("shape", [(1, 1, 1), (3, 5, 2), (7, 30, 1), (8, 25, 1), (9, 0, 2), (25, 100, 4), (100, 22, 1)])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        (1, 1, 1),
+        (1, 3, 1),
+        (1, 4, 1),
+        (1, 30, 1),
+        (3, 5, 2),
+        (7, 30, 1),
+        (8, 25, 1),
+        (9, 0, 2),
+        (25, 100, 4),
+        (100, 22, 1),
+    ],
+)
 def test_dense_products_equal_numpy_whatever_the_tiles(cache, shape):
     """Heights around the vector length, and widths 1 to 11 that are cut into panels of up to five columns."""
     (rows, inner, _), rng = shape, np.random.default_rng(0)

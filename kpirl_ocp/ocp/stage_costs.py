@@ -81,7 +81,7 @@ class TrajectoryCost:
     def coefficients(self, psi: ca.MX, context: ca.MX) -> Coefficients:
         """theta of all stages."""
         T, B = self.problem.horizon, self.columns
-        stages, last = _coefficients(self.problem).map(B)(psi, context)
+        stages, last = coefficients_of(self.problem).map(B)(psi, context)
         if not stages.numel():
             return Coefficients(ca.MX(0, T * B), last)
         return Coefficients(ca.horzcat(*ca.vertsplit(stages, stages.size1() // T)), last)
@@ -117,11 +117,11 @@ def stage_costs(problem: OCP) -> tuple[StageCost, StageCost]:
 
 
 _LARGE = 5e6  # operations that are written out for all stages, at most
-_TOGETHER = 16  # stages in one function: compilers take more than twice the time for one of twice the length
+TOGETHER = 16  # stages in one function: compilers take more than twice the time for one of twice the length
 
 
 @lru_cache(maxsize=64)
-def _coefficients(problem: OCP) -> ca.Function:
+def coefficients_of(problem: OCP) -> ca.Function:
     """(psi, c) -> theta (n_theta T,) of all stages, theta_T (n_theta_T,).
 
     With the schedule's numbers in it, where that can be written out: most of them are zeros, and then a weight per step
@@ -131,7 +131,7 @@ def _coefficients(problem: OCP) -> ca.Function:
     running, final = (cost.coefficients for cost in stage_costs(problem))
     psi, context = ca.MX.sym("psi", problem.n_parameters), ca.MX.sym("c", problem.n_context)
     if all(f.is_a("SXFunction") for f in (running, final)) and T * running.n_instructions() <= _LARGE:
-        ends = [*range(0, T, _TOGETHER), T]
+        ends = [*range(0, T, TOGETHER), T]
         pieces = [_piece(running, schedule[:, begin:end]) for begin, end in pairwise(ends)]
         stages = ca.vertcat(*(piece(psi[used], context) for piece, used in pieces))
         piece, used = _piece(final, schedule[:, T])
