@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradient import Certificate, HypergradientResult, check_policy, enforce, not_finite, seen
 from kpirl_ocp.irl.loss import Loss, squared_distance
-from kpirl_ocp.ocp.calls import Call
+from kpirl_ocp.ocp.calls import own
 from kpirl_ocp.ocp.factorisation import Factorisation
 from kpirl_ocp.ocp.probe import Probe, probe
 from kpirl_ocp.ocp.problem import OCP
@@ -113,7 +113,7 @@ def differentiate(
 ) -> HypergradientResult:
     """Loss, implicit gradient and certificate at a solution that any solver found; read the certificate."""
     s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
-    evaluate = Call(_loss_and_slope(problem, loss))
+    evaluate = own(_loss_and_slope(problem, loss))
     (value,), slope = evaluate(solution.states, solution.actions, seen(problem, demonstration).T)
     value = float(value)
     instance = Instance(problem, s0, psi, context, solution.barrier)

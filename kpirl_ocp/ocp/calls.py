@@ -79,13 +79,15 @@ def call(problem: OCP, build: Build) -> Call:
 
 
 def call_one_of(problem: OCP, builds: tuple[Build, ...], build: Build) -> Call:
-    """The same, compiled together with others that share most of their code.
+    """The same, compiled together with others that share most of their code."""
+    return own(_native(problem, builds)[builds.index(build)])
 
-    Every thread has one object for each function, and its arguments are open again.
-    """
+
+def own(function: ca.Function) -> Call:
+    """This thread's object for a function; its arguments are open again."""
     if not hasattr(_thread, "find"):
-        _thread.find = lru_cache(maxsize=512)(lambda *key: Call(_native(*key[:2])[key[2]]))
-    found: Call = _thread.find(problem, builds, builds.index(build))
+        _thread.find = lru_cache(maxsize=512)(Call)
+    found: Call = _thread.find(function)
     return found.fix()
 
 
