@@ -16,7 +16,7 @@ from kpirl_ocp.ocp.kkt import bounded_entries, transcribe
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.recursion import condense, factorise, substitute
 from kpirl_ocp.ocp.spectrum import lanczos
-from kpirl_ocp.ocp.sweeps import in_groups
+from kpirl_ocp.ocp.sweeps import along
 
 PRODUCTS = 10  # Lanczos steps
 FIRST_DIGITS = 5  # of them, where the first digits are enough
@@ -134,7 +134,7 @@ def row_variances(problem: OCP) -> ca.Function:
     after = F_t @ of_x @ F_t.T
     path = ca.sum2((G_t @ of_x) * G_t) if n_h else ca.MX(0, 1)
     stage = ca.Function("variances", [S, F_t, G_t], [after, ca.diag(of_x), ca.densify(path)])
-    after, diagonals, path = in_groups(stage, ca.MX.zeros(n_s, n_s), [F, G], steps)
+    after, diagonals, path = along(stage, ca.MX.zeros(n_s, n_s), [F, G], steps)
     of_w = _flat(problem, diagonals, ca.diag(after[:, -n_s:]))
     B = _bounds(problem)
     return ca.Function("row_variances", [F, G], [ca.densify(ca.vertcat((B * B).T @ of_w, ca.vec(path)))])

@@ -15,7 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 import casadi as ca
@@ -155,31 +155,18 @@ def along(
 ) -> list[ca.MX]:
     """Carry the first output of a stage to its first input, from the first to the last block or from the last on.
 
-    Inputs and outputs (n, T B) are ordered by time either way. What `mapaccum` does, but with a single copy.
+    Inputs and outputs (n, T B) are ordered by time either way. What `mapaccum` does, but with a single copy. Many steps
+    are taken in groups, with a copy more: compilers take more than twice the time for a function of twice the length.
     """
-    blocks = [ca.horzsplit(array, array.size2() // steps) for array in inputs]
-    rows: list[list[ca.MX]] = [[] for _ in range(steps)]
-    for t in reversed(range(steps)) if backwards else range(steps):
-        outputs = stage.call([start, *(block[t] for block in blocks)])
-        start, rows[t] = outputs[0], outputs
-    return [ca.horzcat(*column) for column in zip(*rows, strict=True)]
-
-
-def in_groups(
-    stage: ca.Function, start: ca.MX, inputs: Sequence[ca.MX], steps: int, backwards: bool = False
-) -> list[ca.MX]:
-    """`along` for a stage of its own B = 1; many steps become groups, which takes less code and one more copy."""
-    if steps <= _ALONE:
-        return along(stage, start, inputs, steps, backwards)
-    size = math.isqrt(steps)
-    lengths = [size] * (steps // size) + ([steps % size] if steps % size else [])
-    groups = {length: _group(stage, length, backwards) for length in set(lengths)}
-    ends = list(accumulate(lengths, initial=0))
+    size = 1 if steps <= _ALONE else math.isqrt(steps)
+    ends = [*range(0, steps, size), steps]
+    lengths = [end - begin for begin, end in pairwise(ends)]
+    groups = {length: stage if size == 1 else _group(stage, length, backwards) for length in lengths}
     blocks = [ca.horzsplit(array, [end * (array.size2() // steps) for end in ends]) for array in inputs]
     rows: list[list[ca.MX]] = [[] for _ in lengths]
-    order = range(len(lengths))
-    for i in reversed(order) if backwards else order:
-        start, *rows[i] = groups[lengths[i]].call([start, *(block[i] for block in blocks)])
+    for i in reversed(range(len(lengths))) if backwards else range(len(lengths)):
+        outputs = groups[lengths[i]].call([start, *(block[i] for block in blocks)])
+        start, rows[i] = outputs[0], outputs if size == 1 else outputs[1:]
     return [ca.horzcat(*column) for column in zip(*rows, strict=True)]
 
 
