@@ -9,6 +9,7 @@ import pytest
 from kpirl_ocp import RBF, Default, Ipopt, KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp, keypoint_state
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.costs import PARAMETRISATIONS
+from kpirl_ocp.ocp.stage_costs import TOGETHER, coefficients_of, stage_costs
 
 T = 5
 ROBOT = Robot.from_example_data("ur5", {"tool0": [[0, 0, 0.1], [0.05, 0, 0.2]]})
@@ -247,3 +248,25 @@ def test_every_parametrisation_has_the_derivatives_of_its_formula():
         derivatives = ca.Function("derivatives", [x], [slope, ca.gradient(slope, x)])
         for v in (-30.0, -1.0, 0.0, 0.5, 30.0):
             np.testing.assert_allclose(np.array(derivatives(v)).ravel(), [first(v), second(v)], rtol=1e-14)
+
+
+@pytest.mark.parametrize("basis", BASES, ids=str)
+def test_coefficients_of_all_stages_are_those_of_each_stage(basis):
+    horizon = 2 * TOGETHER + 3  # several functions of so many stages, and a shorter one
+    cost = KeypointCost(basis, effort=tuple(np.linspace(0.1, 1, horizon)), learn_effort=True, positivity="softplus")
+    problem = keypoint_ocp(ROBOT, cost, horizon)
+    rng = np.random.default_rng(0)
+    psi, goal = rng.normal(size=problem.n_parameters), rng.normal(size=N_Z)
+    by_stage, last = (np.array(x) for x in coefficients_of(problem)(psi, goal))
+    running, final = (cost.coefficients for cost in stage_costs(problem))
+    expected = [np.array(running(psi, goal, d)).ravel() for d in problem.schedule[:-1]]
+    np.testing.assert_allclose(by_stage.reshape(horizon, -1), expected, rtol=1e-15, atol=0)
+    np.testing.assert_allclose(last, final(psi, goal, problem.schedule[-1]), rtol=1e-15, atol=0)
+
+
+def test_coefficients_of_a_weight_per_step_take_operations_in_proportion_to_the_horizon():
+    sizes = []
+    for horizon in (32, 128):
+        function = coefficients_of(keypoint_ocp(ROBOT, KeypointCost(TimeDependent()), horizon))
+        sizes.append(function.expand("expanded").n_instructions())
+    assert sizes[1] <= 4.2 * sizes[0]

@@ -28,10 +28,10 @@ def cache(tmp_path, monkeypatch):
 def hide_compiler(tmp_path, monkeypatch):
     def hide():
         monkeypatch.setenv("PATH", str(tmp_path))
-        native._compiler.cache_clear()
+        native.compiler.cache_clear()
 
     yield hide
-    native._compiler.cache_clear()
+    native.compiler.cache_clear()
 
 
 def polynomial(factor=2.0, name="polynomial"):
@@ -63,7 +63,21 @@ def test_rounding_nan_and_infinity_are_those_of_the_virtual_machine(cache):
 
 
 @needs_compiler
-@pytest.mark.parametrize("shape", [(1, 1, 1), (3, 5, 2), (7, 30, 1), (8, 25, 1), (9, 0, 2), (25, 100, 4), (100, 22, 1)])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        (1, 1, 1),
+        (1, 3, 1),
+        (1, 4, 1),
+        (1, 30, 1),
+        (3, 5, 2),
+        (7, 30, 1),
+        (8, 25, 1),
+        (9, 0, 2),
+        (25, 100, 4),
+        (100, 22, 1),
+    ],
+)
 def test_dense_products_equal_numpy_whatever_the_tiles(cache, shape):
     """Heights around the vector length, and widths 1 to 11 that are cut into panels of up to five columns."""
     (rows, inner, _), rng = shape, np.random.default_rng(0)
@@ -90,6 +104,27 @@ def test_a_dense_product_lets_nan_and_infinity_through_in_their_own_entries(cach
 
 
 @needs_compiler
+@pytest.mark.parametrize("size", [1e-300, 1e-10, 1e-3, 0.1, 0.35, 1.0, 3.0, 30.0, 1e300])
+def test_tanh_of_an_array_is_within_two_units_in_the_last_place(cache, size):
+    x = ca.MX.sym("x", 1003)  # no whole number of vectors
+    points = np.random.default_rng(0).uniform(-size, size, 1003)
+    found = np.array(native.compiled(ca.Function("bend", [x], [ca.tanh(x)]))(points)).ravel()
+    exact = np.tanh(points.astype(np.longdouble)).astype(float)
+    assert np.max(np.abs(found - exact) / np.spacing(np.abs(exact))) <= 2
+    assert np.abs(found).max() <= 1
+
+
+@needs_compiler
+def test_tanh_of_an_array_keeps_nan_infinity_and_the_sign_of_zero(cache):
+    x = ca.MX.sym("x", 7)
+    compiled = native.compiled(ca.Function("bend", [x], [ca.tanh(x)]))
+    found = np.array(compiled([np.nan, np.inf, -np.inf, 0.0, -0.0, np.nan, -1000.0])).ravel()
+    np.testing.assert_array_equal(found, [np.nan, 1, -1, 0, 0, np.nan, -1])
+    assert np.signbit(found[4])
+    assert not np.signbit(found[3])
+
+
+@needs_compiler
 def test_generated_products_and_copies_use_the_kernels_of_this_package(cache):
     x = ca.MX.sym("x", 20, 20)
     generator = ca.CodeGenerator("product.c")
@@ -98,6 +133,7 @@ def test_generated_products_and_copies_use_the_kernels_of_this_package(cache):
     assert before.count("void casadi_mtimes_dense(") == after.count("void casadi_mtimes_dense(") == 1
     assert "casadi_tile" in after
     assert "memmove" in after
+    assert "casadi_tanh" not in after
     nothing = ca.CodeGenerator("nothing.c")
     assert with_fast_kernels(nothing.dump()) == nothing.dump()
 
@@ -203,7 +239,7 @@ def test_when_compiling_fails_the_function_itself_is_returned_with_a_warning(fau
     if fault == "compiler fails":
         (tmp_path / "cc").write_text("#!/bin/sh\nexit 1\n")
         (tmp_path / "cc").chmod(0o755)
-        monkeypatch.setattr(native, "_compiler", lambda: str(tmp_path / "cc"))
+        monkeypatch.setattr(native, "compiler", lambda: str(tmp_path / "cc"))
     else:
         (tmp_path / "cache").write_text("a file where the directory should be")
     function = polynomial(name="unlucky")

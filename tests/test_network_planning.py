@@ -156,7 +156,7 @@ def test_unrolled_gradient_with_a_network_is_that_of_ad_and_of_finite_difference
     assert found.certificate.certified
 
 
-@pytest.mark.skipif(native._compiler() is None, reason="there is no C compiler")
+@pytest.mark.skipif(native.compiler() is None, reason="there is no C compiler")
 @pytest.mark.parametrize("activation", ["relu", "silu"])
 def test_compiled_gradient_is_that_of_the_virtual_machine(activation, monkeypatch):
     slow = network_problem(activation)

@@ -106,7 +106,7 @@ def test_curvature_and_qualification_equal_their_dense_definitions():
     H = np.array([system.times_hessian(column) for column in columns])
     A = np.array([system.times_jacobian(column) for column in columns]).T
     Z = np.vstack([-np.linalg.solve(A[:, :n], A[:, n:]), np.eye(size - n)])
-    rows = system.constraints.toarray() @ Z
+    rows = np.array([system.times_rows(column) for column in columns]).T[system.active] @ Z
     rows /= np.linalg.norm(rows, axis=1, keepdims=True)
     _, singular, right = np.linalg.svd(rows)
     free = right[len(singular) :].T

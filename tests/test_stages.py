@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from problems import TABLE, integrator, network
 
-from kpirl_ocp.ocp import stages
+from kpirl_ocp.ocp import kkt_solves, stages
 from kpirl_ocp.ocp.calls import Call, call
 from kpirl_ocp.ocp.derivatives import DynamicsDerivatives
 from kpirl_ocp.ocp.kkt import transcribe
@@ -54,7 +54,7 @@ def test_products_with_stage_matrices_are_those_with_derivatives_of_the_whole_pr
         (system.times_hessian(w), H @ w),
         (system.times_jacobian(w), A @ w),
         (system.times_transposed_jacobian(costates), A.T @ costates),
-        (instance.path_forces(system.rows @ w), G @ w),
+        (instance.path_forces(system.times_rows(w)), G @ w),
     ]:
         scale = max(1.0, np.abs(expected).max(initial=0.0))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * scale)
@@ -63,9 +63,10 @@ def test_products_with_stage_matrices_are_those_with_derivatives_of_the_whole_pr
 def test_stage_functions_take_the_derivatives_that_a_problem_brings():
     case = network("tanh")
     given = DynamicsDerivatives.by_ad(case.problem.dynamics)
-    asked = [ca.MX.sym(f"x{i}", given.hessian.size1_in(i)) for i in range(4)]
-    marked = ca.Function("hessian", asked, [given.hessian(*asked) + 1])
-    problem = replace(case.problem, derivatives=replace(given, hessian=marked))
+    asked = [ca.MX.sym(f"x{i}", given.second.size1_in(i)) for i in range(4)]
+    *others, hessian = given.second(*asked)
+    marked = ca.Function("second", asked, [*others, hessian + 1])
+    problem = replace(case.problem, derivatives=replace(given, second=marked))
     instance, point = random_point(case)
     arguments = (*instance.at(point.w), point.costates, np.zeros(0))
     plain, other = (call(p, stages.second)(*arguments)[9] for p in (case.problem, problem))
@@ -87,3 +88,70 @@ def test_calls_return_arrays_of_their_own():
     (one,), (other,) = double(np.ones(2)), double(np.zeros(2))
     np.testing.assert_array_equal(one, [2, 2])
     np.testing.assert_array_equal(other, [0, 0])
+
+
+def test_arguments_that_were_fixed_stay_and_the_others_change():
+    x, y = ca.MX.sym("x", 3000), ca.MX.sym("y", 2)  # one that is handed over as it is, one that is copied
+    function = ca.Function("sums", [x, y], [ca.sum1(x) + y, 2 * x])
+    fixed = Call(function).fix(np.ones(3000))
+    (one, doubled), (other, again) = fixed(np.zeros(2)), fixed(np.array([1.0, 2.0]))
+    np.testing.assert_array_equal(one, [3000, 3000])
+    np.testing.assert_array_equal(other, [3001, 3002])
+    assert not np.shares_memory(doubled, again)
+    with pytest.raises(ValueError, match="0 arguments were given, expected 1"):
+        fixed()
+    np.testing.assert_array_equal(fixed.fix()(np.full(3000, 2.0), np.zeros(2))[0], [6000, 6000])
+
+
+@pytest.mark.parametrize("name", ["integrator", "tanh network", "iiwa at a limit"])
+def test_row_variances_are_those_of_the_dense_condensed_rows(name):
+    instance, point = random_point(TABLE[name]())
+    system = linearise(instance, point, np.zeros(len(point.forces), bool))
+    n = len(point.costates)
+    A = np.array([system.times_jacobian(column) for column in np.eye(len(point.w))]).T
+    Z = np.vstack([-np.linalg.solve(A[:, :n], A[:, n:]), np.eye(len(point.w) - n)])
+    rows = np.array([system.times_rows(column) for column in Z.T]).T
+    (found,) = call(instance.problem, kkt_solves.row_variances)(system.F, system.G)
+    np.testing.assert_allclose(found, (rows**2).sum(axis=1), rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["integrator", "tanh network"])
+def test_residuals_that_a_step_of_refinement_reports_are_those_of_the_system(name):
+    instance, point = random_point(TABLE[name]())
+    some = RNG.random(len(point.forces)) < 0.1
+    system = linearise(instance, point, some)
+    w, costates, forces = (RNG.normal(size=x.shape) for x in (point.w, point.costates, point.forces))
+    right, defects, values = (RNG.normal(size=x.shape) for x in (w, costates, forces))
+    stiffness, scale = np.where(some, 10.0, 0.0), np.ones(len(some))
+    factors = call(instance.problem, kkt_solves.factor)(*system.matrices, stiffness)
+    system_side = [*system.matrices, system.stiffness, some.astype(float), scale, right, defects, values]
+    off = [np.zeros_like(x) for x in (right, defects, values)]  # the step is then zero
+    step = call(instance.problem, kkt_solves.refine)
+    forces = np.where(some, forces, 0.0)
+    *found, norms = step(system.F, system.G, *factors, stiffness, *system_side, w, costates, forces, *off)
+    balance = system.times_hessian(w) + system.times_transposed_jacobian(costates)
+    expected = [
+        w,
+        costates,
+        forces,
+        right - balance - system.times_transposed_rows(forces),
+        defects - system.times_jacobian(w),
+        np.where(some, values - system.times_rows(w), 0.0),
+    ]
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-11 * max(1.0, np.abs(other).max()))
+    np.testing.assert_allclose(norms, [np.linalg.norm(x) for x in (*expected[3:], w)], rtol=1e-10)
+
+
+def test_dynamics_that_depend_on_psi_keep_it_and_others_do_not_repeat_it():
+    network_, pendulum_ = TABLE["tanh network"]().problem, TABLE["pendulum"]().problem
+    assert stages.without_psi(network_, network_.dynamics).size1_in(2) == 0
+    assert stages.without_psi(pendulum_, pendulum_.dynamics) is pendulum_.dynamics
+    s, u, psi = (
+        RNG.normal(size=network_.n_states),
+        RNG.normal(size=network_.n_actions),
+        RNG.normal(size=network_.n_parameters),
+    )
+    np.testing.assert_array_equal(
+        stages.without_psi(network_, network_.dynamics)(s, u, []), network_.dynamics(s, u, psi)
+    )

@@ -1,5 +1,7 @@
 """Solvers that know the stages against Ipopt, on a table of problems; real-time iterations; what they do when stuck."""
 
+import shutil
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -11,6 +13,8 @@ from problems import TABLE, integrator, network, swing_up
 
 from kpirl_ocp import OCP, Fatrop, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp import native
+from kpirl_ocp.ocp.export.resident import _resident, resident
 from kpirl_ocp.ocp.kkt import audit
 from kpirl_ocp.ocp.newton import Newton
 from kpirl_ocp.ocp.real_time import real_time_step
@@ -210,3 +214,88 @@ def test_real_time_step_as_one_function_does_what_the_solver_does(name):
     assert float(pivot) > 0
     assert (np.array(y) > 0).all()
     assert (np.array(z) > 0).all()
+
+
+@pytest.fixture
+def machine_code(monkeypatch):
+    """Solves in machine code, however small the problem is."""
+    if not any(map(shutil.which, ("cc", "gcc", "clang"))):
+        pytest.skip("there is no C compiler")
+    monkeypatch.setattr("kpirl_ocp.ocp.export.resident.worth_compiling", lambda problem: True)
+    monkeypatch.setattr(native, "FLAGS", ("-O0", *native.FLAGS[1:]))  # the compiler is all that takes time here
+    _resident.cache_clear()
+    yield
+    _resident.cache_clear()  # what was found for small problems here is not what others should find
+
+
+SETTINGS = (Riccati(), Riccati(barrier=1e-3), Riccati(steps=1, barrier=1e-3))
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_machine_code_takes_the_steps_of_the_python_driver(name, machine_code):
+    problem, *given_here = given(name)
+    numbers = problem.inputs(*given_here)
+    machine = resident(problem, 500)
+    guess = None
+    for solver in SETTINGS:
+        found, expected = machine.solve(solver, *numbers, guess), solver.solve_in_python(problem, *numbers, guess)
+        guess = expected
+        assert (found.status, found.iterations, found.barrier) == (
+            expected.status,
+            expected.iterations,
+            expected.barrier,
+        )
+        np.testing.assert_allclose(found.objective, expected.objective, rtol=1e-12)
+        np.testing.assert_allclose(found.states, expected.states, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.actions, expected.actions, rtol=0, atol=1e-9)
+        for kind, multipliers in vars(expected.multipliers).items():
+            scale = max(1.0, np.abs(multipliers).max(initial=0.0))
+            np.testing.assert_allclose(getattr(found.multipliers, kind), multipliers, rtol=0, atol=1e-8 * scale)
+        assert found.residuals.scale == pytest.approx(expected.residuals.scale, rel=1e-9)
+
+
+def test_problems_too_small_for_the_compiler_or_too_large_for_the_stack_are_solved_by_python(machine_code, monkeypatch):
+    problem = given("lqr")[0]
+    assert resident(problem, 500) is not None
+    assert resident(problem, 500) is resident(problem, 1000)
+    assert resident(problem, 1001) is not resident(problem, 1000)
+    monkeypatch.setattr("kpirl_ocp.ocp.export.resident._LARGEST", 10)
+    _resident.cache_clear()
+    assert resident(problem, 500) is None
+    monkeypatch.undo()
+    _resident.cache_clear()
+    assert resident(problem, 500) is None
+
+
+def test_solutions_of_machine_code_share_no_memory(machine_code):
+    problem, s0, psi, context = given("integrator")
+    one = Riccati().solve(problem, s0, psi, context)
+    kept = one.actions.copy()
+    other = Riccati().solve(problem, s0 + np.array([0.3, 0.0]), psi, context)
+    np.testing.assert_array_equal(one.actions, kept)
+    assert np.abs(other.actions - kept).max() > 1e-3
+
+
+def test_threads_solve_at_the_same_time_without_meeting(machine_code):
+    problem, s0, psi, context = given("integrator")
+    starts = [s0 + np.array([shift, 0.0]) for shift in np.linspace(-0.3, 0.3, 16)]
+
+    def solve(start):
+        return [Riccati().solve(problem, start, psi, context).actions for _ in range(5)]
+
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(solve, starts))
+    for start, found in zip(starts, together, strict=True):
+        expected = Riccati().solve(problem, start, psi, context).actions
+        for actions in found:
+            np.testing.assert_array_equal(actions, expected)
+
+
+def test_what_machine_code_refuses_is_left_to_python(machine_code):
+    problem, s0, psi, context = given("integrator")
+    broken = replace(solution("integrator").multipliers, dynamics=np.full((problem.horizon, 2), np.nan))
+    guess = replace(solution("integrator"), multipliers=broken)
+    found = Riccati().solve(problem, s0, psi, context, guess=guess)
+    expected = Riccati().solve_in_python(problem, *problem.inputs(s0, psi, context), guess)
+    assert found.status is expected.status
+    assert resident(problem, 500).solve(Riccati(), *problem.inputs(s0, psi, context), guess) is None

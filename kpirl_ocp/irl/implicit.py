@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradient import Certificate, HypergradientResult, check_policy, enforce, not_finite, seen
 from kpirl_ocp.irl.loss import Loss, squared_distance
+from kpirl_ocp.ocp.calls import own
 from kpirl_ocp.ocp.factorisation import Factorisation
 from kpirl_ocp.ocp.probe import Probe, probe
 from kpirl_ocp.ocp.problem import OCP
@@ -112,8 +113,9 @@ def differentiate(
 ) -> HypergradientResult:
     """Loss, implicit gradient and certificate at a solution that any solver found; read the certificate."""
     s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
-    outputs = _loss_and_slope(problem, loss)(solution.states.T, solution.actions.T, seen(problem, demonstration))
-    value, slope = float(outputs[0]), np.array(outputs[1]).ravel()
+    evaluate = own(_loss_and_slope(problem, loss))
+    (value,), slope = evaluate(solution.states, solution.actions, seen(problem, demonstration).T)
+    value = float(value)
     instance = Instance(problem, s0, psi, context, solution.barrier)
     point, active = primal_dual(instance, solution)
     system = linearise(instance, point, active)
@@ -152,7 +154,7 @@ def _loss_and_slope(problem: OCP, loss: Loss) -> ca.Function:
     observed = ca.MX.sym("Z", problem.n_observations, problem.horizon + 1)
     value = loss(problem)(states, actions, observed)
     slope = ca.vertcat(ca.vec(ca.gradient(value, states)[:, 1:]), ca.vec(ca.gradient(value, actions)))
-    return ca.Function("loss_and_slope", [states, actions, observed], [value, slope])
+    return ca.Function("loss_and_slope", [states, actions, observed], [ca.densify(x) for x in (value, slope)])
 
 
 def _undefined(loss: float, n_parameters: int, solution: Solution, active: Mask) -> HypergradientResult:

@@ -30,6 +30,7 @@ from kpirl_ocp.irl.hypergradient import (
 )
 from kpirl_ocp.irl.loss import Loss, squared_distance
 from kpirl_ocp.irl.unrolled_graph import unrolled_function
+from kpirl_ocp.ocp.calls import own
 from kpirl_ocp.ocp.gradient_descent import GradientDescent, check_constraints, finish
 from kpirl_ocp.ocp.native import compiled
 from kpirl_ocp.ocp.problem import OCP
@@ -139,12 +140,12 @@ def sweep(
     """Descend N steps, then accumulate the gradient back through the last ones; demonstrations side by side."""
     check_constraints(problem, solver.project)
     inputs = [problem.inputs(demonstration.s0, psi, demonstration.context) for demonstration in demonstrations]
-    starts, psis, contexts = (np.column_stack(columns) for columns in zip(*inputs, strict=True))
-    actions = np.tile(guess_actions(problem, guess).T, len(inputs))
-    observed = np.hstack([seen(problem, demonstration) for demonstration in demonstrations])
-    function = _function(problem, solver, loss, last, checkpoint, len(inputs))
-    outputs = np.array(function(actions, starts, psis, contexts, observed))
-    return [_result(problem, solver, last, column) for column in outputs.T]
+    starts, psis, contexts = (np.concatenate(parts) for parts in zip(*inputs, strict=True))
+    actions = np.tile(guess_actions(problem, guess), (len(inputs), 1))
+    observed = np.concatenate([seen(problem, demonstration).T for demonstration in demonstrations])
+    evaluate = own(_function(problem, solver, loss, last, checkpoint, len(inputs)))
+    (outputs,) = evaluate(actions, starts, psis, contexts, observed)
+    return [_result(problem, solver, last, output) for output in outputs.reshape(len(inputs), -1)]
 
 
 def _result(problem: OCP, solver: GradientDescent, last: int, output: Array) -> HypergradientResult:

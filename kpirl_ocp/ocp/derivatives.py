@@ -24,18 +24,18 @@ class DynamicsDerivatives:
     vjp: (s, u, psi, lam) -> f_s^T lam (n_s,), f_u^T lam (n_u,), f_psi^T lam (n_psi,).
     jacobian: (s, u, psi) -> f_s (n_s, n_s), f_u (n_s, n_u).
     hessian: (s, u, psi, lam) -> second derivative of lam . f with respect to (s, u), (n_s + n_u, n_s + n_u).
+    first: (s, u, psi, lam) -> f, f_s^T lam, f_u^T lam, with what they share computed once.
+    second: (s, u, psi, lam) -> f, (f_s, f_u) and `hessian`, likewise.
     sweeps: (T, B) -> the passes along B trajectories, where something better than stage by stage is known.
-    value_vjp: (s, u, psi, lam) -> f, f_s^T lam, f_u^T lam, where one pass gives all; None: each by itself.
-    expansion: (s, u, psi, lam) -> f, f_s, f_u and the Hessian, likewise.
     """
 
     jvp: ca.Function
     vjp: ca.Function
     jacobian: ca.Function
     hessian: ca.Function
+    first: ca.Function
+    second: ca.Function
     sweeps: Callable[[int, int], Sweeps] | None = None
-    value_vjp: ca.Function | None = None
-    expansion: ca.Function | None = None
 
     @classmethod
     def by_ad(cls, dynamics: ca.Function) -> DynamicsDerivatives:
@@ -47,10 +47,14 @@ class DynamicsDerivatives:
         pairing = ca.dot(lam, value)
         slope = ca.vertcat(ca.gradient(pairing, s), ca.gradient(pairing, u))
         hessian = ca.cse(ca.horzcat(ca.jacobian(slope, s), ca.jacobian(slope, u)))
+        by_s, by_u = ca.jacobian(value, s), ca.jacobian(value, u)
+        together = ca.cse([value, ca.horzcat(by_s, by_u), hessian])
         moved = ca.jtimes(value, s, ds) + ca.jtimes(value, u, du)
         return cls(
             jvp=ca.Function("jvp", [s, u, psi, ds, du], [moved]),
             vjp=ca.Function("vjp", [s, u, psi, lam], [ca.gradient(pairing, x) for x in (s, u, psi)]),
-            jacobian=ca.Function("jacobian", [s, u, psi], [ca.jacobian(value, s), ca.jacobian(value, u)]),
+            jacobian=ca.Function("jacobian", [s, u, psi], [by_s, by_u]),
             hessian=ca.Function("hessian", [s, u, psi, lam], [hessian]),
+            first=ca.Function("first", [s, u, psi, lam], ca.cse([value, *(ca.gradient(pairing, x) for x in (s, u))])),
+            second=ca.Function("second", [s, u, psi, lam], together),
         )

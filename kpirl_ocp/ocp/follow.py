@@ -14,6 +14,8 @@ from functools import lru_cache
 import casadi as ca
 
 from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.stage_costs import TrajectoryCost
+from kpirl_ocp.ocp.stages import psi_by_stage, without_psi
 
 
 @lru_cache(maxsize=64)
@@ -29,11 +31,12 @@ def follow(problem: OCP) -> ca.Function:
     alpha, psi, context = ca.MX.sym("alpha"), ca.MX.sym("psi", problem.n_parameters), ca.MX.sym("c", problem.n_context)
     target = S + alpha * dS
     after, actions = _stage(problem).mapaccum(steps)(
-        target[:, 0], target[:, :steps], U + alpha * dU, K, (1 - alpha) * d, ca.repmat(psi, 1, steps)
+        target[:, 0], target[:, :steps], U + alpha * dU, K, (1 - alpha) * d, psi_by_stage(problem, psi)
     )
     states = ca.horzcat(target[:, 0], after)
-    values = problem.cost(states, actions, psi, context), problem.path(states, actions, psi, context)
-    outputs = [ca.densify(x) for x in (states, actions, *values)]
+    cost = TrajectoryCost(problem, 1)
+    value, *_ = cost.first(states, actions, cost.coefficients(psi, context))
+    outputs = [ca.densify(x) for x in (states, actions, value, problem.path(states, actions, psi, context))]
     return ca.Function("follow", [S, U, dS, dU, K, d, alpha, psi, context], outputs)
 
 
@@ -41,6 +44,7 @@ def _stage(problem: OCP) -> ca.Function:
     """(s, target, u, K, d, psi) -> f(s, u') - d and u' = u + K (s - target)."""
     n_s, n_u = problem.n_states, problem.n_actions
     s, target, d = (ca.MX.sym(name, n_s) for name in ("s", "target", "d"))
-    u, K, psi = ca.MX.sym("u", n_u), ca.MX.sym("K", n_u, n_s), ca.MX.sym("psi", problem.n_parameters)
+    dynamics = without_psi(problem, problem.dynamics)
+    u, K, psi = ca.MX.sym("u", n_u), ca.MX.sym("K", n_u, n_s), ca.MX.sym("psi", dynamics.size1_in(2))
     action = u + K @ (s - target)
-    return ca.Function("follow_stage", [s, target, u, K, d, psi], [problem.dynamics(s, action, psi) - d, action])
+    return ca.Function("follow_stage", [s, target, u, K, d, psi], [dynamics(s, action, psi) - d, action])

@@ -115,15 +115,15 @@ def newton_step(problem: OCP) -> ca.Function:
     pushing = force_h - ca.vertsplit(z, split)[1]  # the gradient r holds the path constraints' z
     bounds, fixed = selection(problem, at.entries, at.signs), selection(problem, at.fixed, np.ones(len(at.fixed)))
     actions = ca.vertcat(ca.DM(steps * n_s, 1), ca.DM.ones(steps * problem.n_actions))
-    push, push_last = _by_stage(problem, bounds @ force_b + fixed @ (nu + off / PROXIMAL))
-    stiff, stiff_last = _by_stage(problem, (bounds * bounds) @ weights_b + ca.sum2(fixed) / PROXIMAL + rho * actions)
-    by_stage = (ca.reshape(x, n_h, steps) for x in (weights_h, pushing))
-    condensed, slope = _condense(n_x, n_h).map(steps)(H, r + push, G, stiff, *by_stage)
+    push, push_last = by_stage(problem, bounds @ force_b + fixed @ (nu + off / PROXIMAL))
+    stiff, stiff_last = by_stage(problem, (bounds * bounds) @ weights_b + ca.sum2(fixed) / PROXIMAL + rho * actions)
+    path = (ca.reshape(x, n_h, steps) for x in (weights_h, pushing))
+    condensed, slope = condense_stage(n_x, n_h).map(steps)(H, r + push, G, stiff, *path)
 
     P, W, Y, pivots = factorise(problem)(F, condensed, H_last + ca.diag(stiff_last))
     ds, du, dlam = substitute(problem)(F, P, W, Y, pivots, slope, last + push_last, defects, gap)
     dw = ca.vertcat(ca.vec(ds[:, 1:]), ca.vec(du))
-    dg = ca.vertcat(bounds.T @ dw, ca.vec(_product(n_h, n_x).map(steps)(G, ca.vertcat(ds[:, :steps], du))))
+    dg = ca.vertcat(bounds.T @ dw, ca.vec(path_product(n_h, n_x).map(steps)(G, ca.vertcat(ds[:, :steps], du))))
     step = [ds, du, dlam, -(g + y) - dg, force + weights * dg - z, (fixed.T @ dw + off) / PROXIMAL, pivots]
     step.append(_gains(n_s, problem.n_actions).map(steps)(W, Y, pivots))
     inputs = [r, last, defects, F, G, H, H_last, g, off, gap, y, z, nu, tau, rho]
@@ -136,18 +136,21 @@ def _gains(n_s: int, n_u: int) -> ca.Function:
     return ca.Function("gains", [W, Y, pivots], [-W.T @ (ca.repmat(ca.sign(pivots), 1, n_s) * Y)])
 
 
-def _condense(n_x: int, n_h: int) -> ca.Function:
+def condense_stage(n_x: int, n_h: int) -> ca.Function:
     """(H, r, G, stiffness of x, weights of h, force on h) -> H + diag(stiffness) + G' weights G, r + G' force."""
     H, G = ca.MX.sym("H", n_x, n_x), ca.MX.sym("G", n_h, n_x)
     r, stiffness = ca.MX.sym("r", n_x), ca.MX.sym("stiffness", n_x)
     weights, force = ca.MX.sym("weights", n_h), ca.MX.sym("force", n_h)
-    outputs = [H + ca.diag(stiffness), r]
+    condensed = ca.MX(H)
+    condensed.nz[:: n_x + 1] = H.nz[:: n_x + 1] + stiffness
+    outputs = [condensed, r]
     if n_h:
-        outputs = [outputs[0] + G.T @ (ca.repmat(weights, 1, n_x) * G), r + G.T @ force]
+        outputs = [ca.mac(G.T, ca.repmat(weights, 1, n_x) * G, condensed), ca.mac(force.T, G, r.T).T]
     return ca.Function("condense", [H, r, G, stiffness, weights, force], outputs)
 
 
-def _product(rows: int, columns: int) -> ca.Function:
+def path_product(rows: int, columns: int) -> ca.Function:
+    """(G, x) -> G x, also when there is no row."""
     G, x = ca.MX.sym("G", rows, columns), ca.MX.sym("x", columns)
     return ca.Function("product", [G, x], [G @ x if rows else ca.MX(0, 1)])
 
@@ -160,7 +163,7 @@ def selection(problem: OCP, entries: Indices, signs: Array) -> ca.DM:
     return ca.DM.triplet(entries.tolist(), list(range(len(entries))), ca.DM(signs), n_w, len(entries))
 
 
-def _by_stage(problem: OCP, w: ca.MX) -> tuple[ca.MX, ca.MX]:
+def by_stage(problem: OCP, w: ca.MX) -> tuple[ca.MX, ca.MX]:
     """w (n_w,) as columns x_t (n_x, T), with zeros for the given s_0, and s_T (n_s,)."""
     steps, n_s = problem.horizon, problem.n_states
     states = ca.horzcat(ca.MX.zeros(n_s, 1), ca.reshape(w[: steps * n_s], n_s, steps))

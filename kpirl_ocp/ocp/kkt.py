@@ -9,11 +9,10 @@ solution read the optimality conditions from here; `kpirl_ocp.ocp.stages` has th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
-import scipy.sparse
 
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.types import Array, Indices, KKTResiduals, Mask, Multipliers, Trajectory
@@ -33,6 +32,13 @@ class NLP:
     lower: Array
     upper: Array
     n_defects: int
+
+    @cached_property
+    def bounded(self) -> tuple[Indices, Indices, Mask]:
+        """Entries of w with a finite lower bound, and with a finite upper one; where both, of all these, coincide."""
+        low, high = np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
+        fixed = self.lower == self.upper
+        return low, high, np.concatenate([fixed[low], fixed[high]])
 
 
 @lru_cache(maxsize=64)
@@ -115,13 +121,12 @@ class Inequalities:
     @classmethod
     def at(cls, nlp: NLP, w: Array, path: Array) -> Inequalities:
         """The inequalities at w (n_w,), with path constraints (T n_h,) evaluated there."""
-        low, high = np.flatnonzero(np.isfinite(nlp.lower)), np.flatnonzero(np.isfinite(nlp.upper))
-        fixed = nlp.lower == nlp.upper
+        low, high, fixed = nlp.bounded
         return cls(
             lower=low,
             upper=high,
             slack=np.concatenate([w[low] - nlp.lower[low], nlp.upper[high] - w[high], -path]),
-            equal=np.concatenate([fixed[low], fixed[high], np.zeros(len(path), bool)]),
+            equal=np.concatenate([fixed, np.zeros(len(path), bool)]),
         )
 
     def forces(self, multipliers: Multipliers, barrier: float) -> Array:
@@ -131,8 +136,9 @@ class Inequalities:
         slack, tau / slack, and a disagreement shows up in the stationarity.
         """
         nu = bound_multipliers(multipliers)
-        low = np.where(np.isin(self.lower, self.upper), np.maximum(-nu[self.lower], 0.0), -nu[self.lower])
-        high = np.where(np.isin(self.upper, self.lower), np.maximum(nu[self.upper], 0.0), nu[self.upper])
+        sides = np.bincount(np.concatenate([self.lower, self.upper]), minlength=len(nu)) > 1
+        low = np.where(sides[self.lower], np.maximum(-nu[self.lower], 0.0), -nu[self.lower])
+        high = np.where(sides[self.upper], np.maximum(nu[self.upper], 0.0), nu[self.upper])
         bounds = np.concatenate([low, high])
         if barrier > 0:
             with np.errstate(divide="ignore"):
@@ -146,18 +152,12 @@ class Inequalities:
         net[self.upper] += forces[split : split + len(self.upper)]
         return net
 
-    def jacobian(self, path_jacobian: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
-        """Jacobian (n_ineq, n_w) of the constraint values -slack, from that of the path constraints (T n_h, n_w)."""
-        entries = np.concatenate([self.lower, self.upper])
-        signs = np.repeat([-1.0, 1.0], [len(self.lower), len(self.upper)])
-        return scipy.sparse.csr_matrix(
-            (
-                np.concatenate([signs, path_jacobian.data]),
-                np.concatenate([entries, path_jacobian.indices]),
-                np.concatenate([np.arange(len(entries)), len(entries) + path_jacobian.indptr]),
-            ),
-            (len(entries) + path_jacobian.shape[0], path_jacobian.shape[1]),
-        )
+
+@lru_cache(maxsize=64)
+def bounded_entries(problem: OCP) -> tuple[Indices, Array]:
+    """The entries of w (n_bounds,) that have a finite lower bound, then a finite upper one, and signs -1 and 1."""
+    low, high, _ = transcribe(problem).bounded
+    return np.concatenate([low, high]), np.repeat([-1.0, 1.0], [len(low), len(high)])
 
 
 def audit(

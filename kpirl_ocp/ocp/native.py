@@ -24,38 +24,54 @@ from kpirl_ocp.ocp.kernels import with_fast_kernels
 
 # No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order. The -fno flags only promise
 # that nobody reads errno or traps floating-point exceptions; with them loops become vector instructions. CasADi writes
-# 0 + i*0 for the address of an empty array, which newer compilers refuse without -Wno-int-conversion. Against -O2, -O3
-# takes about twice as long to compile and saves a twentieth of a gradient with a network.
-_FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-Wno-int-conversion", "-fPIC", "-shared")
+# 0 + i*0 for the address of an empty array, which newer compilers refuse without -Wno-int-conversion. Loops are turned
+# into vector instructions as with -O3, which takes longer to compile and gains nothing more.
+_OPTIMISED = ("-O2", "-ftree-vectorize", "-fvect-cost-model=dynamic", "-march=native")
+FLAGS = (
+    *_OPTIMISED,
+    "-fno-semantic-interposition",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-Wno-int-conversion",
+    "-fPIC",
+    "-shared",
+)
 _CACHE_BYTES = 512 * 2**20
 
 
 def compiled(function: ca.Function) -> ca.Function:
     """The same function as machine code; the function itself when there is no C compiler."""
-    compiler = _compiler()
-    if compiler is None:
-        return function
-    generator = ca.CodeGenerator(f"{function.name()}.c")
-    generator.add(function)
+    return together([function])[0]
+
+
+def together(functions: Sequence[ca.Function]) -> list[ca.Function]:
+    """The same for several functions, whose common parts are compiled once."""
+    command = compiler()
+    if command is None:
+        return list(functions)
+    name = functions[0].name()
+    generator = ca.CodeGenerator(f"{name}.c")
+    for function in functions:
+        generator.add(function)
     source = with_fast_kernels(generator.dump())
     for _ in range(2):  # another process may remove the library before it is loaded
         try:
-            library = _library(compiler, function.name(), source)
+            library = _library(command, name, source)
         except (OSError, subprocess.CalledProcessError) as error:
-            _warn_slow(f"{compiler} could not compile {function.name()}: {error}")
-            return function
+            warn_slow(f"{command} could not compile {name}: {error}")
+            return list(functions)
         try:
-            return ca.external(function.name(), str(library))
+            return [ca.external(function.name(), str(library)) for function in functions]
         except RuntimeError:
             if library.exists():
                 raise
-    _warn_slow(f"other processes keep removing {library}")
-    return function
+    warn_slow(f"other processes keep removing {library}")
+    return list(functions)
 
 
 def _library(compiler: str, name: str, source: str) -> Path:
     """The shared library of a C source: from the cache, marked as used, or built."""
-    key = "\0".join([source, compiler, identity(compiler), *_FLAGS])
+    key = "\0".join([source, compiler, identity(compiler), *FLAGS])
     return cached(name, key, lambda library: _build(compiler, source, library))
 
 
@@ -92,14 +108,16 @@ def cache_directory() -> Path:
 
 
 @lru_cache(maxsize=1)
-def _compiler() -> str | None:
+def compiler() -> str | None:
+    """The system's C compiler; None, with a warning, if there is none."""
     path = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if path is None:
-        _warn_slow("no C compiler (cc, gcc, clang) was found")
+        warn_slow("no C compiler (cc, gcc, clang) was found")
     return path
 
 
-def _warn_slow(reason: str) -> None:
+def warn_slow(reason: str) -> None:
+    """Say why there is no machine code, and what that means."""
     consequence = "this runs on CasADi's virtual machine, with the same results, several times slower."
     warnings.warn(f"{reason}: {consequence}", RuntimeWarning, stacklevel=3)
 
@@ -116,7 +134,7 @@ def _build(compiler: str, source: str, library: Path) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         code = Path(scratch) / "code.c"
         code.write_text(source)
-        link(compiler, _FLAGS, [code], library)
+        link(compiler, FLAGS, [code], library)
 
 
 def link(compiler: str, flags: Sequence[str], sources: Sequence[Path], library: Path) -> None:

@@ -169,14 +169,19 @@ def jacobian(mlp: MLP, slopes: Sequence[Slopes]) -> ca.MX:
 
 
 def hessian(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> ca.MX:
-    """Second derivative (n_in, n_in) of adjoint . y at one x: sum_l A_l^T diag(s_l'' eta_l) A_l with A_l = da_l/dx.
+    """Second derivative (n_in, n_in) of adjoint . y at one x; see `second`."""
+    return second(mlp, slopes, adjoint)[1]
 
-    eta_l is the adjoint of h_l. Layers without curvature add nothing; if no layer has any, the result is
-    structurally zero.
+
+def second(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """dy/dx (n_out, n_in), and d^2 (adjoint . y)/dx^2 = sum_l A_l^T diag(s_l'' eta_l) A_l with A_l = da_l/dx, at one x.
+
+    eta_l is the adjoint of h_l. The Jacobian is the last A_l, scaled. Layers without curvature add nothing; if no layer
+    has any, the Hessian is structurally zero and the Jacobian comes from the output's side.
     """
     total = ca.MX(mlp.n_in, mlp.n_in)
     if not curved(slopes):
-        return total
+        return jacobian(mlp, slopes), total
     etas = [adjoint]
     for weight, slope in zip(mlp.weights[:0:-1], slopes[:0:-1], strict=True):
         etas.insert(0, ca.DM(weight.T) @ _times(slope.first, etas[0]))
@@ -187,8 +192,8 @@ def hessian(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> ca.MX:
             rows = ca.DM(mlp.weights[index]) @ _scale_rows(slopes[index - 1].first, rows)
             transposed = rows.T
         if slope.second is not None:
-            total = total + transposed @ _scale_rows(slope.second * eta, rows)
-    return total
+            total = ca.mac(transposed, _scale_rows(slope.second * eta, rows), ca.densify(total))
+    return _scale_rows(slopes[-1].first, rows), total
 
 
 def curved(slopes: Sequence[Slopes]) -> bool:

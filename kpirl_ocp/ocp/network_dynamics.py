@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.derivatives import DynamicsDerivatives
-from kpirl_ocp.ocp.network import MLP, hessian, jacobian, pull, push
+from kpirl_ocp.ocp.network import MLP, hessian, jacobian, pull, push, second
 from kpirl_ocp.types import Array
 
 
@@ -77,15 +77,16 @@ class NetworkDynamics:
         linear_u = ca.vertcat(ca.DM(n_z, self.n_joints), self._displacement(ca.DM.eye(self.n_joints)))
         value = self._shift(s) + ca.vertcat(y, self._displacement(u))
         by_s, by_u = self._shift(lam) + pulled[:n_s], lam[theta] + pulled[n_s:]
-        blocks = [rows[:, :n_s] + linear_s, rows[:, n_s:] + linear_u]
-        curvature = hessian(self.mlp, slopes, lam[:n_z])
+        slope, curvature = second(self.mlp, slopes, lam[:n_z])
+        F = ca.MX(ca.densify(ca.horzcat(linear_s, linear_u)))
+        F[:n_z, :] = slope + ca.horzcat(linear_s, linear_u)[:n_z, :]
         return DynamicsDerivatives(
             jvp=ca.Function("jvp", [s, u, psi, ds, du], [self._shift(ds) + ca.vertcat(moved, self._displacement(du))]),
             vjp=ca.Function("vjp", [s, u, psi, lam], [by_s, by_u, ca.MX.zeros(n_parameters)]),
-            jacobian=ca.Function("jacobian", [s, u, psi], blocks),
-            hessian=ca.Function("hessian", [s, u, psi, lam], [curvature]),
-            value_vjp=ca.Function("value_vjp", [s, u, psi, lam], [value, by_s, by_u]),
-            expansion=ca.Function("expansion", [s, u, psi, lam], [value, *blocks, curvature]),
+            jacobian=ca.Function("jacobian", [s, u, psi], [rows[:, :n_s] + linear_s, rows[:, n_s:] + linear_u]),
+            hessian=ca.Function("hessian", [s, u, psi, lam], [hessian(self.mlp, slopes, lam[:n_z])]),
+            first=ca.Function("first", [s, u, psi, lam], [value, by_s, by_u]),
+            second=ca.Function("second", [s, u, psi, lam], [value, F, curvature]),
         )
 
     def _symbols(self, n_parameters: int) -> tuple[ca.MX, ca.MX, ca.MX]:

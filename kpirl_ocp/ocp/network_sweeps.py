@@ -86,13 +86,15 @@ class NetworkSweeps:
 
     def _sum(self, start: ca.MX, actions: ca.MX) -> ca.MX:
         """theta_0 .. theta_T (n_q, (T+1) B), the running sum of the actions."""
-        return ca.horzcat(*accumulate(ca.horzsplit(actions, self.columns), initial=start))
+        return ca.horzcat(start, *along(_add(*start.shape), start, [actions], self.horizon))
 
     def _sum_back(self, q: ca.MX, share: ca.MX) -> ca.MX:
         """lambda_1 .. lambda_T of a row of the state that is an integrator: lambda_t = q_t + share_t + lambda_{t+1}."""
         B = self.columns
-        pushes = ca.horzsplit(q[:, B:-B] + share[:, B:], B) if self.horizon > 1 else []
-        return ca.horzcat(*reversed(list(accumulate(reversed(pushes), initial=q[:, -B:]))))
+        if self.horizon == 1:
+            return q[:, -B:]
+        last, pushes = q[:, -B:], q[:, B:-B] + share[:, B:]
+        return ca.horzcat(*along(_add(*last.shape), last, [pushes], self.horizon - 1, backwards=True), last)
 
     def _parts(self, s: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
         """The rows z, theta and theta_dot."""
@@ -160,6 +162,11 @@ class NetworkSweeps:
 
     def _keep(self, z: ca.MX) -> ca.MX | float:
         return z if self.dynamics.residual else 0.0
+
+
+def _add(rows: int, columns: int) -> ca.Function:
+    x, y = (ca.MX.sym(name, rows, columns) for name in "xy")
+    return ca.Function("add", [x, y], [x + y])
 
 
 def _stack(*parts: ca.MX) -> ca.MX:

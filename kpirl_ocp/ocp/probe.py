@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kpirl_ocp.ocp.factorisation import Factorisation
-from kpirl_ocp.ocp.sensitivity import Instance, KKTSystem, PrimalDual, linearise, scatter
+from kpirl_ocp.ocp.sensitivity import Instance, KKTSystem, PrimalDual, linearise
 from kpirl_ocp.types import Array
 
 _KNOWN = 1e-9  # relative accuracy to which no solution is known better
@@ -53,7 +53,7 @@ def probe(instance: Instance, system: KKTSystem, factors: Factorisation, right: 
     again = linearise(instance, nearby, system.active)
     change = np.inf
     if again.finite:
-        nothing = np.zeros(len(system.defects)), np.zeros(int(system.active.sum()))
+        nothing = np.zeros(len(system.defects)), np.zeros(len(system.active))
         moved, *_, residual = factors.solve(right, *nothing, again)
         change = _relative(moved - adjoint, adjoint, _NOTHING * factors.size(right)) if residual <= _SOLVED else np.inf
     return Probe(step, margin, change, _kink(instance, system, adjoint))
@@ -67,9 +67,9 @@ def _newton(instance: Instance, system: KKTSystem, factors: Factorisation) -> tu
         with np.errstate(divide="ignore"):
             forces = np.where(system.equal, forces, instance.barrier / system.slack)
     path = np.arange(len(forces)) >= len(forces) - len(instance.path_forces(forces))
-    unbalanced = system.gradient + system.transposed_rows @ (forces - np.where(path, point.forces, 0.0))
-    dw, costates, pushes, _ = factors.solve(-unbalanced, -system.defects, system.slack[active])
-    forces, slack = forces + scatter(active, pushes), system.slack - system.rows @ dw
+    unbalanced = system.gradient + system.times_transposed_rows(forces - np.where(path, point.forces, 0.0))
+    dw, costates, pushes, _ = factors.solve(-unbalanced, -system.defects, np.where(active, system.slack, 0.0))
+    forces, slack = forces + pushes, system.slack - system.times_rows(dw)
     margins = np.where(active, forces, slack)[~system.equal]
     margin = np.inf if smoothed else float(np.min(margins, initial=np.inf))
     return PrimalDual(point.w + dw, point.costates + costates, forces), margin

@@ -115,42 +115,42 @@ class OCP:
             schedule=schedule,
         )
 
-    @property
+    @cached_property
     def n_states(self) -> int:
         """n_s."""
         return self.dynamics.size1_in(0)
 
-    @property
+    @cached_property
     def n_actions(self) -> int:
         """n_u."""
         return self.dynamics.size1_in(1)
 
-    @property
+    @cached_property
     def n_parameters(self) -> int:
         """Length of psi."""
         return self.dynamics.size1_in(2)
 
-    @property
+    @cached_property
     def n_context(self) -> int:
         """Length of c."""
         return self.stage_cost.size1_in(3)
 
-    @property
+    @cached_property
     def n_path(self) -> int:
         """n_h, path constraints per stage."""
         return 0 if self.path_constraint is None else self.path_constraint.size1_out(0)
 
-    @property
+    @cached_property
     def n_observations(self) -> int:
         """n_z, length of what a demonstration shows of one state."""
         return self.n_states if self.observation is None else self.observation.size1_out(0)
 
-    @property
+    @cached_property
     def has_action_bounds(self) -> bool:
         """True if any action bound is finite."""
         return bool(np.isfinite(np.asarray(self.action_bounds, float)).any())
 
-    @property
+    @cached_property
     def has_state_constraints(self) -> bool:
         """True if any state bound is finite or there are path constraints."""
         return bool(np.isfinite(np.asarray(self.state_bounds, float)).any()) or self.n_path > 0

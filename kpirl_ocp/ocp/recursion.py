@@ -24,6 +24,7 @@ from functools import lru_cache
 import casadi as ca
 
 from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.sweeps import along
 
 
 @lru_cache(maxsize=64)
@@ -34,72 +35,51 @@ def factorise(problem: OCP) -> ca.Function:
     """
     n_s, n_u, n_x, steps = _sizes(problem)
     P, F, H = ca.MX.sym("P", n_s, n_s), ca.MX.sym("F", n_s, n_x), ca.MX.sym("H", n_x, n_x)
-    M = H + F.T @ (P @ F)
+    M = ca.mac(F.T, P @ F, H)
     W, pivots = _inverse_root(n_u)(M[n_s:, n_s:])
     Y = W @ M[n_s:, :n_s]
     before = M[:n_s, :n_s] - Y.T @ (ca.repmat(ca.sign(pivots), 1, n_s) * Y)
     stage = ca.Function("factor_stage", [P, F, H], [(before + before.T) / 2, W, Y, pivots])
 
     F, H, last = ca.MX.sym("F", n_s, n_x * steps), ca.MX.sym("H", n_x, n_x * steps), ca.MX.sym("H_T", n_s, n_s)
-    P, W, Y, pivots = stage.mapaccum(steps)(last, _reversed(F, n_x), _reversed(H, n_x))
-    P = _reversed(ca.horzcat(last, P[:, : n_s * (steps - 1)]), n_s)
-    outputs = [P, _reversed(W, n_u), _reversed(Y, n_s), _reversed(pivots, 1)]
-    return ca.Function("factorise", [F, H, last], outputs)
+    P, W, Y, pivots = along(stage, last, [F, H], steps, backwards=True)
+    return ca.Function("factorise", [F, H, last], [ca.horzcat(P[:, n_s:], last), W, Y, pivots])
 
 
 @lru_cache(maxsize=64)
 def substitute(problem: OCP) -> ca.Function:
-    """(F, P, W, Y, pivots, q (n_x, T), q_T (n_s,), d (n_s, T), s_0) -> s (n_s, T+1), u (n_u, T), lambda (n_s, T)."""
+    """(F, P, W, Y, pivots, q (n_x, T), q_T (n_s,), d (n_s, T), s_0) -> s (n_s, T+1), u (n_u, T), lambda (n_s, T).
+
+    Vectors stand on the left of what is transposed: x' A needs no A'.
+    """
     n_s, n_u, n_x, steps = _sizes(problem)
     p, s = ca.MX.sym("p", n_s), ca.MX.sym("s", n_s)
     F, P = ca.MX.sym("F", n_s, n_x), ca.MX.sym("P", n_s, n_s)
     W, Y = ca.MX.sym("W", n_u, n_u), ca.MX.sym("Y", n_u, n_s)
     q, d, v, pivots = ca.MX.sym("q", n_x), ca.MX.sym("d", n_s), ca.MX.sym("v", n_u), ca.MX.sym("D", n_u)
     J = ca.sign(pivots)
-    m = q + F.T @ (P @ d + p)
+    m = ca.mac(ca.mac(P, d, p).T, F, q.T).T
     w_m = W @ m[n_s:]
-    backward = ca.Function("backward_stage", [p, F, P, W, Y, pivots, q, d], [m[:n_s] - Y.T @ (J * w_m), w_m])
-    u = -(W.T @ (J * (Y @ s + v)))
-    forward = ca.Function("forward_stage", [s, F, W, Y, pivots, v, d], [F @ ca.vertcat(s, u) + d, u])
+    before = m[:n_s] - ((J * w_m).T @ Y).T
+    backward = ca.Function("backward_stage", [p, F, P, W, Y, pivots, q, d], [before, w_m])
+    u = -((J * ca.mac(Y, s, v)).T @ W).T
+    after = ca.mac(F, ca.vertcat(s, u), d)
+    forward = ca.Function("forward_stage", [s, F, P, W, Y, pivots, v, d, p], [after, u, ca.mac(P, after, p)])
 
     F, P = ca.MX.sym("F", n_s, n_x * steps), ca.MX.sym("P", n_s, n_s * steps)
     W, Y = ca.MX.sym("W", n_u, n_u * steps), ca.MX.sym("Y", n_u, n_s * steps)
     q, last, d = ca.MX.sym("q", n_x, steps), ca.MX.sym("q_T", n_s), ca.MX.sym("d", n_s, steps)
     pivots = ca.MX.sym("D", n_u, steps)
-    widths = ((F, n_x), (P, n_s), (W, n_u), (Y, n_s), (pivots, 1), (q, 1), (d, 1))
-    stages = [_reversed(x, width) for x, width in widths]
-    p, v = backward.mapaccum(steps)(last, *stages)
-    p = _reversed(ca.horzcat(last, p[:, : steps - 1]), 1)  # p_1 .. p_T
-    after, u = forward.mapaccum(steps)(s, F, W, Y, pivots, _reversed(v, 1), d)
-    outputs = [ca.horzcat(s, after), u, _stagewise_product(n_s, steps)(P, after) + p]
-    return ca.Function("substitute", [F, P, W, Y, pivots, q, last, d, s], outputs)
+    p, v = along(backward, last, [F, P, W, Y, pivots, q, d], steps, backwards=True)
+    p = ca.horzcat(p[:, 1:], last)  # p_1 .. p_T
+    states, u, costates = along(forward, s, [F, P, W, Y, pivots, v, d, p], steps)
+    return ca.Function("substitute", [F, P, W, Y, pivots, q, last, d, s], [ca.horzcat(s, states), u, costates])
 
 
 def _sizes(problem: OCP) -> tuple[int, int, int, int]:
     """n_s, n_u, n_x and T."""
     n_s, n_u = problem.n_states, problem.n_actions
     return n_s, n_u, n_s + n_u, problem.horizon
-
-
-def _stagewise_product(n: int, steps: int) -> ca.Function:
-    """(P (n, n T), s (n, T)) -> the columns P_t s_t (n, T)."""
-    P, s = ca.MX.sym("P", n, n), ca.MX.sym("s", n)
-    return ca.Function("product", [P, s], [P @ s]).map(steps)
-
-
-def _reversed(x: ca.MX, width: int) -> ca.MX:
-    """The blocks of `width` columns in reversed order."""
-    return _reversal(x.size1(), width, x.size2() // width)(x)
-
-
-@lru_cache(maxsize=512)
-def _reversal(rows: int, width: int, count: int) -> ca.Function:
-    """Reversal in groups of groups: short C code, where a long list would keep the compiler busy."""
-    x = ca.MX.sym("x", rows, width * count)
-    group = 1 if count <= 10 else -(-count // 10)
-    parts = ca.horzsplit(x, group * width)
-    backwards = [part if group == 1 else _reversed(part, width) for part in reversed(parts)]
-    return ca.Function(f"reversal_{count}", [x], [ca.horzcat(*backwards)])
 
 
 @lru_cache(maxsize=64)
@@ -127,13 +107,12 @@ def condense(problem: OCP) -> ca.Function:
     s, u, lam = ca.MX.sym("s", n_s), ca.MX.sym("u", n_u), ca.MX.sym("lambda", n_s)
     F, H, x = ca.MX.sym("F", n_s, n_x), ca.MX.sym("H", n_x, n_x), ca.MX.sym("x", n_x)
     forward = ca.Function("roll", [s, F, u], [F @ ca.vertcat(s, u)])
-    slope = H @ x + F.T @ lam
+    slope = ca.mac(lam.T, F, x.T @ H).T
     backward = ca.Function("roll_back", [lam, F, H, x], [slope[:n_s], slope[n_s:]])
 
     F, H, last = ca.MX.sym("F", n_s, n_x * steps), ca.MX.sym("H", n_x, n_x * steps), ca.MX.sym("H_T", n_s, n_s)
     u = ca.MX.sym("u", n_u, steps)
-    after = forward.mapaccum(steps)(ca.MX.zeros(n_s), F, u)
+    (after,) = along(forward, ca.MX.zeros(n_s), [F, u], steps)
     x = ca.vertcat(ca.horzcat(ca.MX.zeros(n_s, 1), after[:, : steps - 1]), u)
-    stages = [_reversed(part, width) for part, width in ((F, n_x), (H, n_x), (x, 1))]
-    product = backward.mapaccum(steps)(last @ after[:, steps - 1], *stages)[1]
-    return ca.Function("condense", [F, H, last, u], [_reversed(product, 1)])
+    product = along(backward, last @ after[:, steps - 1], [F, H, x], steps, backwards=True)[1]
+    return ca.Function("condense", [F, H, last, u], [product])

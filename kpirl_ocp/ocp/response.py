@@ -16,7 +16,7 @@ import numpy as np
 from kpirl_ocp.ocp.calls import call
 from kpirl_ocp.ocp.factorisation import Factorisation
 from kpirl_ocp.ocp.influence import pull, push
-from kpirl_ocp.ocp.sensitivity import Instance, KKTSystem, linearise, primal_dual, scatter
+from kpirl_ocp.ocp.sensitivity import Instance, KKTSystem, linearise, primal_dual
 from kpirl_ocp.types import Array, Solution, Trajectory
 
 
@@ -52,9 +52,9 @@ class Response:
         """Gradients of a function with gradient `slope` (n_w,) by w, and `slope_s0` (n_s,) by s_0 directly."""
         system, instance = self.system, self.system.instance
         n_s, steps, n_h = len(system.H_last), len(system.H), instance.problem.n_path
-        nothing = np.zeros(len(system.defects)), np.zeros(int(system.active.sum()))
+        nothing = np.zeros(len(system.defects)), np.zeros(len(system.active))
         w, costates, forces, residual = self.factors.solve(slope, *nothing)
-        forces = instance.path_forces(scatter(system.active, forces) + system.stiffness * (system.rows @ w))
+        forces = instance.path_forces(forces + system.stiffness * system.times_rows(w))
         x, last = system.by_stage(w)
         point = (*instance.at(system.point.w), system.point.costates, instance.path_forces(system.point.forces))
         by_psi, by_context = call(instance.problem, pull)(*point, x.ravel(), last, costates, forces)
@@ -74,7 +74,7 @@ class Response:
         ddefects = ddefects + (x[:, None, :] @ system.F).ravel()
         dpath = dpath + (x[:, None, :] @ system.G).ravel()
         values = np.concatenate([np.zeros(len(system.active) - len(dpath)), dpath])  # change of all inequalities
-        right = -system.flat(dr, dr_last) - system.transposed_rows @ (system.stiffness * values)
-        w = self.factors.solve(right, -ddefects, -values[system.active])[0]
+        right = -system.flat(dr, dr_last) - system.times_transposed_rows(system.stiffness * values)
+        w = self.factors.solve(right, -ddefects, np.where(system.active, -values, 0.0))[0]
         states = np.concatenate([ds0, w[: len(ddefects)]]).reshape(problem.horizon + 1, n_s)
         return Trajectory(states, w[len(ddefects) :].reshape(problem.horizon, -1))

@@ -19,7 +19,7 @@ from kpirl_ocp.ocp.kkt import largest
 from kpirl_ocp.ocp.newton import Derivatives, Iterate, Newton, Step
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.solver import Guess
-from kpirl_ocp.types import KKTResiduals, Solution, Status
+from kpirl_ocp.types import Array, KKTResiduals, Solution, Status
 
 _START = 0.3  # barrier parameter of a cold start, relative to the gradient of the objective there
 _WARM = 1e-6  # largest one of a warm start
@@ -62,7 +62,16 @@ class Riccati:
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
-        newton = Newton(problem, *problem.inputs(s0, psi, context))
+        from kpirl_ocp.ocp.export.resident import resident  # which exports this class
+
+        numbers = problem.inputs(s0, psi, context)
+        machine = resident(problem, self.max_iterations)
+        found = machine.solve(self, *numbers, guess) if machine else None
+        return found or self.solve_in_python(problem, *numbers, guess)
+
+    def solve_in_python(self, problem: OCP, s0: Array, psi: Array, context: Array, guess: Guess = None) -> Solution:
+        """The same, one numpy array after the other; only derivatives and Newton steps are compiled functions."""
+        newton = Newton(problem, s0, psi, context)
         if isinstance(guess, Solution):
             tau = self.barrier or self._warm_barrier(newton, guess)
             iterate = newton.resume(guess, tau)

@@ -12,16 +12,15 @@ instead, with mu = tau / slack; only equalities (coinciding bounds) stay in C.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
-import scipy.sparse
 
 from kpirl_ocp.ocp.calls import call
-from kpirl_ocp.ocp.kkt import NLP, Inequalities, pack, transcribe
+from kpirl_ocp.ocp.kkt import NLP, Inequalities, bounded_entries, pack, transcribe
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.stages import by_time, first, second, values
-from kpirl_ocp.types import Array, Indices, Mask, Solution
+from kpirl_ocp.types import Array, Mask, Solution
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class KKTSystem:
     """First and second derivatives at a point; the inequalities are listed as in `Inequalities`.
 
     F, G, H: transposed blocks (T, n_x, n_s), (T, n_x, n_h), (T, n_x, n_x) of `stages.second`. H_last: (n_s, n_s).
-    rows: Jacobian of the inequalities' values -slack (n_ineq, n_w), sparse. slack: (n_ineq,).
+    slack: (n_ineq,) of the inequalities; their rows are the Jacobian of -slack.
     gradient: of J + lambda.defects + mu.path (n_w,). defects: (T n_s,).
     active: (n_ineq,) which rows are constraints. equal: (n_ineq,) which of them are equalities.
     stiffness: (n_ineq,) mu / slack of smoothed rows, zero for the others.
@@ -80,7 +79,6 @@ class KKTSystem:
     G: Array
     H: Array
     H_last: Array
-    rows: scipy.sparse.csr_matrix
     gradient: Array
     defects: Array
     slack: Array
@@ -95,46 +93,33 @@ class KKTSystem:
         return all(np.isfinite(part).all() for part in parts)
 
     @cached_property
-    def constraints(self) -> scipy.sparse.csr_matrix:
-        """C (n_active, n_w)."""
-        return self.rows[np.flatnonzero(self.active)]
-
-    @cached_property
-    def transposed_constraints(self) -> scipy.sparse.csc_matrix:
-        """C' (n_w, n_active)."""
-        return self.constraints.T
-
-    @cached_property
-    def transposed_rows(self) -> scipy.sparse.csc_matrix:
-        """(n_w, n_ineq)."""
-        return self.rows.T
+    def matrices(self) -> list[Array]:
+        """F, G, H and H_T, flat."""
+        return [self.F.ravel(), self.G.ravel(), self.H.ravel(), self.H_last.ravel()]
 
     @cached_property
     def only_actions(self) -> bool:
         """True if every active row bounds an action."""
-        first = len(self.active) - self.G.shape[0] * self.G.shape[2]  # path constraint
-        return not self.active[first:].any() and not (self.constraints.indices < len(self.defects)).any()
+        entries, _ = bounded_entries(self.instance.problem)
+        bounds, path = self.active[: len(entries)], self.active[len(entries) :]
+        return not path.any() and not (entries[bounds] < len(self.defects)).any()
 
-    def with_rows(self, H: Array, H_last: Array, weights: Array) -> tuple[Array, Array]:
-        """H + rows' diag(weights) rows, as blocks (T, n_x, n_x) and (n_s, n_s); weights (n_ineq,)."""
-        (steps, _, n_h), n_x = self.G.shape, H.shape[1]
-        split = len(weights) - steps * n_h
-        bounds, path = weights[:split], weights[split:].reshape(steps, 1, n_h)
-        diagonal, last = self.by_stage(self._add_bounds(bounds))
-        result = H + (self.G * path) @ self.G.transpose(0, 2, 1) if n_h else H.copy()
-        result[:, np.arange(n_x), np.arange(n_x)] += diagonal
-        return result, H_last + np.diag(last)
+    def times_rows(self, w: Array) -> Array:
+        """rows w (n_ineq,)."""
+        entries, signs = bounded_entries(self.instance.problem)
+        if not self.G.size:
+            return signs * w[entries]
+        x, _ = self.by_stage(w)
+        return np.concatenate([signs * w[entries], (x[:, None, :] @ self.G).ravel()])
 
-    def _add_bounds(self, weights: Array) -> Array:
-        """Sum (n_w,) of the weights of all bounds on an entry of w."""
-        return np.bincount(self.rows.indices[: len(weights)], weights, self.rows.shape[1]).astype(float)
-
-    def row_variances(self, covariance: Array, last: Array) -> Array:
-        """row . Cov . row (n_ineq,) for covariances of x_t (T, n_x, n_x) and of s_T (n_s, n_s)."""
-        split = len(self.active) - self.G.shape[0] * self.G.shape[2]
-        variances = self.flat(np.diagonal(covariance, axis1=1, axis2=2), np.diag(last))
-        path = np.einsum("tih,tij,tjh->th", self.G, covariance, self.G)
-        return np.concatenate([variances[self.rows.indices[:split]], path.ravel()])
+    def times_transposed_rows(self, forces: Array) -> Array:
+        """rows' forces (n_w,)."""
+        entries, signs = bounded_entries(self.instance.problem)
+        steps, n_s, (_, n_x, n_h) = len(self.H), len(self.H_last), self.G.shape
+        pushed = np.bincount(entries, signs * forces[: len(entries)], steps * n_x).astype(float)
+        if n_h:
+            pushed += self.flat((self.G @ forces[len(entries) :].reshape(steps, n_h, 1))[:, :, 0], np.zeros(n_s))
+        return pushed
 
     def by_stage(self, w: Array) -> tuple[Array, Array]:
         """x_t (T, n_x) with zeros for the given s_0, and s_T (n_s,), of w (n_w,)."""
@@ -166,12 +151,6 @@ class KKTSystem:
         product[: len(costates)] -= costates
         return product
 
-    def times_stiff_hessian(self, w: Array) -> Array:
-        """(H + rows' stiffness rows) w (n_w,)."""
-        if self.instance.barrier == 0:
-            return self.times_hessian(w)
-        return self.times_hessian(w) + self.transposed_rows @ (self.stiffness * (self.rows @ w))
-
 
 def primal_dual(instance: Instance, solution: Solution) -> tuple[PrimalDual, Mask]:
     """The point of a solution, and its active inequalities: multiplier above slack, or an equality.
@@ -196,9 +175,10 @@ def linearise(instance: Instance, point: PrimalDual, active: Mask) -> KKTSystem:
     steps, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
     G = G.reshape(steps, n_x, problem.n_path)
     rows = Inequalities.at(instance.nlp, point.w, path)
-    smoothed = ~rows.equal if instance.barrier > 0 else np.zeros(len(rows.equal), bool)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        stiffness = np.where(smoothed, instance.barrier / rows.slack**2, 0.0)
+    stiffness = np.zeros(len(rows.equal))
+    if instance.barrier > 0:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stiffness = np.where(rows.equal, 0.0, instance.barrier / rows.slack**2)
     return KKTSystem(
         instance=instance,
         point=point,
@@ -206,7 +186,6 @@ def linearise(instance: Instance, point: PrimalDual, active: Mask) -> KKTSystem:
         G=G,
         H=H.reshape(steps, n_x, n_x),
         H_last=H_last.reshape(n_s, n_s),
-        rows=rows.jacobian(_path_jacobian(problem, G)),
         gradient=by_time(problem, r, r_last)[n_s:],
         defects=defects,
         slack=rows.slack,
@@ -214,27 +193,6 @@ def linearise(instance: Instance, point: PrimalDual, active: Mask) -> KKTSystem:
         equal=rows.equal,
         stiffness=stiffness,
     )
-
-
-def _path_jacobian(problem: OCP, G: Array) -> scipy.sparse.csr_matrix:
-    """Jacobian of the path constraints (T n_h, n_w) from its transposed blocks (T, n_x, n_h)."""
-    kept, columns, starts = _path_pattern(problem)
-    values = G.transpose(0, 2, 1).ravel()[kept]
-    shape = (len(starts) - 1, problem.horizon * (problem.n_states + problem.n_actions))
-    return scipy.sparse.csr_matrix((values, columns, starts), shape)
-
-
-@lru_cache(maxsize=64)
-def _path_pattern(problem: OCP) -> tuple[Indices, Indices, Indices]:
-    """Which entries of the blocks (T, n_h, n_x) are in the Jacobian, their columns in w, and where its rows start."""
-    steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
-    columns = np.full((steps, n_s + n_u), -1)  # where x_t is in w; s_0 is not
-    columns[1:, :n_s] = np.arange((steps - 1) * n_s).reshape(steps - 1, n_s)
-    columns[:, n_s:] = steps * n_s + np.arange(steps * n_u).reshape(steps, n_u)
-    by_row = np.repeat(columns, problem.n_path, axis=0)  # (T n_h, n_x)
-    starts = np.concatenate([[0], np.cumsum((by_row >= 0).sum(axis=1))])
-    kept = np.flatnonzero(by_row.ravel() >= 0)
-    return kept, by_row.ravel()[kept], starts
 
 
 def scatter(active: Mask, values: Array) -> Array:

@@ -18,33 +18,58 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.stage_costs import TrajectoryCost, stage_costs
 from kpirl_ocp.types import Array
 
 
 @lru_cache(maxsize=64)
 def values(problem: OCP) -> ca.Function:
     """(S (n_s, T+1), U (n_u, T), psi, c) -> J, defects f - s_next (n_s, T), path constraints h (n_h, T)."""
-    point, _ = _symbols(problem)
-    return ca.Function("stage_values", point, _values(problem, point))
+    (states, actions, psi, context), _ = point, _ = _symbols(problem)
+    cost = TrajectoryCost(problem, 1)
+    arrived = without_psi(problem, problem.dynamics).map(problem.horizon)(
+        states[:, :-1], actions, psi_by_stage(problem, psi)
+    )
+    total = cost.first(states, actions, cost.coefficients(psi, context))[0]
+    outputs = [total, arrived - states[:, 1:], problem.path(*point)]
+    return ca.Function("stage_values", point, [ca.densify(x) for x in outputs])
 
 
 @lru_cache(maxsize=64)
 def first(problem: OCP) -> ca.Function:
     """(S, U, psi, c, Lambda (n_s, T), M (n_h, T)) -> `values`, gradient of J (n_x, T) and (n_s,), r and r_T (n_s,)."""
     point, dual = _symbols(problem)
-    states, actions, psi, _ = point
-    after, *pulled = _value_vjp(problem).map(problem.horizon)(states[:, :-1], actions, _repeat(problem, psi), dual[0])
-    outputs = [*_values(problem, point, after), *_gradients(problem, point, dual, ca.vertcat(*pulled))]
-    return ca.Function("stage_first", [*point, *dual], outputs)
+    (states, actions, psi, context), (costates, forces), steps = point, dual, problem.horizon
+    cost = TrajectoryCost(problem, 1)
+    total, by_states, by_actions = cost.first(states, actions, cost.coefficients(psi, context))
+    through = states[:, :-1], actions, psi_by_stage(problem, psi), costates
+    arrived, *pulled = without_psi(problem, problem.dynamics_derivatives.first).map(steps)(*through)
+    pulled, path = ca.vertcat(*pulled), problem.path(*point)
+    if problem.path_constraint is not None:
+        pulled += _stage_gradient(problem.path_constraint).map(steps)(*_arguments(problem, *point), forces)
+    slope, last_slope = ca.vertcat(by_states[:, :steps], by_actions), by_states[:, steps]
+    lagrangian = _lagrangian(problem, slope, last_slope, pulled, costates)
+    outputs = [total, arrived - states[:, 1:], path, slope, last_slope, *lagrangian]
+    return ca.Function("stage_first", [*point, *dual], [ca.densify(x) for x in outputs])
 
 
 @lru_cache(maxsize=64)
 def second(problem: OCP) -> ca.Function:
     """The arguments of `first` -> its outputs, then F, G, H and H_T (n_s, n_s)."""
     point, dual = _symbols(problem)
-    *matrices, pulled, after = _matrices(problem, *point, *dual)
-    outputs = [*_values(problem, point, after), *_gradients(problem, point, dual, pulled), *matrices]
-    return ca.Function("stage_second", [*point, *dual], outputs)
+    (states, actions, psi, context), (costates, forces), steps = point, dual, problem.horizon
+    theta = TrajectoryCost(problem, 1).coefficients(psi, context)
+    arguments = _arguments(problem, *point)
+    if problem.path_constraint is None:
+        arguments = [states[:, :-1], actions, psi_by_stage(problem, psi)]
+    _, final = stage_costs(problem)
+    value, slope, arrived, path, pulled, F, G, H = _stage_second(problem).map(steps)(
+        *arguments, theta.stages, costates, forces
+    )
+    last, last_slope, H_last = final.hessian(states[:, steps], ca.MX(0, 1), theta.last)
+    lagrangian = _lagrangian(problem, slope, last_slope, pulled, costates)
+    outputs = [ca.sum2(value) + last, arrived - states[:, 1:], path, slope, last_slope, *lagrangian, F, G, H, H_last]
+    return ca.Function("stage_second", [*point, *dual], [ca.densify(x) for x in outputs])
 
 
 def by_time(problem: OCP, x: Array, last: Array) -> Array:
@@ -65,85 +90,81 @@ def _symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX]]:
     return point, [ca.MX.sym("Lambda", n_s, steps), ca.MX.sym("M", problem.n_path, steps)]
 
 
-def _values(problem: OCP, point: list[ca.MX], after: ca.MX | None = None) -> list[ca.MX]:
-    """J, defects and path constraints; `after` are the columns f(x_t) if they are known."""
-    states, actions, psi, context = point
-    if after is None:
-        after = problem.dynamics.map(problem.horizon)(states[:, :-1], actions, _repeat(problem, psi))
-    cost, path = problem.cost(states, actions, psi, context), problem.path(states, actions, psi, context)
-    return [cost, ca.densify(after - states[:, 1:]), ca.densify(path)]
+def _arguments(problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX) -> list[ca.MX]:
+    """s, u, psi, c and d of all stages, as columns."""
+    schedule = ca.DM(np.asarray(problem.schedule)).T
+    wide = [_repeat(problem, value) for value in (psi, context)]
+    return [states[:, :-1], actions, *wide, schedule[:, : problem.horizon]]
 
 
-def _gradients(problem: OCP, point: list[ca.MX], dual: list[ca.MX], pulled: ca.MX) -> list[ca.MX]:
-    """Gradients of J and of the Lagrangian; `pulled` holds the columns F' lambda (n_x, T)."""
-    (states, actions, psi, context), (costates, forces) = point, dual
-    steps, n_s = problem.horizon, problem.n_states
-    before, schedule = states[:, :-1], ca.DM(np.asarray(problem.schedule)).T
-    arguments = [before, actions, _repeat(problem, psi), _repeat(problem, context), schedule[:, :steps]]
-    cost = _stage_gradient(problem.stage_cost).map(steps)(*arguments, ca.DM.ones(1, steps))
-    last = _terminal(problem)(states[:, -1], psi, context, schedule[:, steps])[0]
-    lagrangian = cost + pulled
-    if problem.path_constraint is not None:
-        lagrangian += _stage_gradient(problem.path_constraint).map(steps)(*arguments, forces)
-    arriving = ca.horzcat(ca.MX.zeros(n_s, 1), costates)  # s_t is where stage t-1 arrives
-    lagrangian -= ca.vertcat(arriving[:, :steps], ca.MX.zeros(problem.n_actions, steps))
-    return [ca.densify(x) for x in (cost, last, lagrangian, last - arriving[:, steps])]
+def _lagrangian(problem: OCP, slope: ca.MX, last: ca.MX, pulled: ca.MX, costates: ca.MX) -> list[ca.MX]:
+    """r and r_T; `pulled` holds the columns F' lambda + G' mu."""
+    arriving = ca.horzcat(ca.MX.zeros(problem.n_states, 1), costates)  # s_t is where stage t-1 arrives
+    leaving = ca.vertcat(arriving[:, : problem.horizon], ca.MX.zeros(problem.n_actions, problem.horizon))
+    return [slope + pulled - leaving, last - arriving[:, problem.horizon]]
 
 
-def _matrices(
-    problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX, costates: ca.MX, forces: ca.MX
-) -> list[ca.MX]:
-    """F, G, H, H_T, F' lambda and f."""
-    steps, schedule = problem.horizon, ca.DM(np.asarray(problem.schedule)).T
-    arguments = [states[:, :-1], actions, _repeat(problem, psi), _repeat(problem, context), schedule[:, :steps]]
-    F, G, H, pulled, after = _stage_matrices(problem).map(steps)(*arguments, costates, forces)
-    last = _terminal(problem)(states[:, -1], psi, context, schedule[:, steps])[1]
-    return [ca.densify(x) for x in (F, G, H, last, pulled, after)]
+def psi_by_stage(problem: OCP, psi: ca.MX) -> ca.MX:
+    """psi for every stage, as `without_psi` takes it."""
+    return _repeat(problem, psi) if depends_on_psi(problem) else ca.MX(0, problem.horizon)
 
 
 def _repeat(problem: OCP, value: ca.MX) -> ca.MX:
     return ca.repmat(value, 1, problem.horizon)
 
 
-def _value_vjp(problem: OCP) -> ca.Function:
-    """(s, u, psi, lambda) -> f, f_s' lambda, f_u' lambda."""
-    derivatives = problem.dynamics_derivatives
-    if derivatives.value_vjp is not None:
-        return derivatives.value_vjp
-    inputs = _dynamics_symbols(problem)
-    outputs = [problem.dynamics(*inputs[:3]), *derivatives.vjp(*inputs)[:2]]
-    return ca.Function("value_vjp", inputs, outputs)
+def _stage_second(problem: OCP) -> ca.Function:
+    """(s, u, psi, c, d, theta, lambda, mu) -> l, its gradient, f, h, F' lambda + G' mu, F, G, H of one stage.
 
-
-def _expansion(problem: OCP) -> ca.Function:
-    """(s, u, psi, lambda) -> f, f_s, f_u, second derivative of lambda . f."""
-    derivatives = problem.dynamics_derivatives
-    if derivatives.expansion is not None:
-        return derivatives.expansion
-    inputs = _dynamics_symbols(problem)
-    outputs = [problem.dynamics(*inputs[:3]), *derivatives.jacobian(*inputs[:3]), derivatives.hessian(*inputs)]
-    return ca.Function("expansion", inputs, outputs)
-
-
-def _dynamics_symbols(problem: OCP) -> list[ca.MX]:
-    """s, u, psi, lambda."""
-    lengths = (problem.n_states, problem.n_actions, problem.n_parameters, problem.n_states)
-    return [ca.MX.sym(name, length) for name, length in zip(("s", "u", "psi", "lambda"), lengths, strict=True)]
-
-
-def _stage_matrices(problem: OCP) -> ca.Function:
-    """(s, u, psi, c, d, lambda, mu) -> F, G, H, F' lambda and f of one stage."""
-    path = problem.path_constraint
-    point = [ca.MX.sym(name, problem.stage_cost.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d"))]
+    Without path constraints (s, u, psi, theta, lambda, mu), where psi is empty if the dynamics do not depend on it.
+    """
+    path, (running, _) = problem.path_constraint, stage_costs(problem)
+    derivatives = problem.dynamics_derivatives.second
+    if path is None:
+        derivatives = without_psi(problem, derivatives)
+    sizes = [problem.stage_cost.size1_in(i) for i in range(5)]
+    if path is None:
+        sizes = [*sizes[:2], derivatives.size1_in(2)]
+    point = [ca.MX.sym(name, size) for name, size in zip(("s", "u", "psi", "c", "d"), sizes, strict=False)]
+    theta = ca.MX.sym("theta", running.hessian.size1_in(2))
     costate, force = ca.MX.sym("lambda", problem.n_states), ca.MX.sym("mu", problem.n_path)
-    after, by_state, by_action, curvature = _expansion(problem)(*point[:3], costate)
-    F = ca.densify(ca.horzcat(by_state, by_action))
-    H = curvature + _stage_hessian(problem.stage_cost)(*point, 1)
-    G = ca.MX(0, problem.n_states + problem.n_actions)
+    value, slope, curvature = running.hessian(*point[:2], theta)
+    arrived, F, H = derivatives.call([*point[:3], costate], True, False)
+    F, H = ca.densify(F), _plus_sparse(H, curvature)
+    pulled = (costate.T @ F).T
+    G, h = ca.MX(0, problem.n_states + problem.n_actions), ca.MX(0, 1)
     if path is not None:
-        G, H = _stage_jacobian(path)(*point), H + _stage_hessian(path)(*point, force)
-    outputs = [ca.densify(x) for x in (F, G, H, F.T @ costate, after)]
-    return ca.Function("stage_matrices", [*point, costate, force], outputs)
+        h, G = path(*point), ca.densify(_stage_jacobian(path)(*point))
+        H, pulled = H + _stage_hessian(path)(*point, force), pulled + (force.T @ G).T
+    outputs = [ca.densify(x) for x in (value, slope, arrived, h, pulled, F, G, H)]
+    return ca.Function("stage_second", [*point, theta, costate, force], outputs)
+
+
+def without_psi(problem: OCP, function: ca.Function) -> ca.Function:
+    """A function (s, u, psi, ..) of the dynamics with an empty psi, if the dynamics do not depend on psi.
+
+    Otherwise itself. To repeat psi for every stage takes O(T^2) memory where psi has numbers for every step.
+    """
+    if depends_on_psi(problem):
+        return function
+    s, u, psi, *others = function.mx_in()
+    outputs = function.call([s, u, ca.MX.zeros(psi.shape), *others], True, False)
+    return ca.Function(function.name(), [s, u, ca.MX.sym("psi", 0), *others], outputs)
+
+
+def depends_on_psi(problem: OCP) -> bool:
+    """Do the dynamics?"""
+    return bool(problem.dynamics.jac_sparsity(0, 2).nnz())
+
+
+def _plus_sparse(dense: ca.MX, sparse: ca.MX) -> ca.MX:
+    """The sum as a dense matrix; only entries that are there are touched."""
+    total = ca.MX(ca.densify(dense))
+    rows, columns = sparse.sparsity().get_triplet()
+    where = [row + column * sparse.size1() for row, column in zip(rows, columns, strict=True)]
+    if where:
+        total.nz[where] = total.nz[where] + sparse.nz[:]
+    return total
 
 
 def _pairing(function: ca.Function) -> tuple[list[ca.SX | ca.MX], ca.SX | ca.MX, ca.SX | ca.MX]:
@@ -175,12 +196,3 @@ def _stage_hessian(function: ca.Function) -> ca.Function:
 
 def _gradient(value: ca.SX | ca.MX, inputs: list[ca.SX | ca.MX]) -> ca.SX | ca.MX:
     return ca.vertcat(*(ca.gradient(value, x) for x in inputs[:2]))
-
-
-def _terminal(problem: OCP) -> ca.Function:
-    """(s, psi, c, d) -> gradient and Hessian of l_T."""
-    function = problem.terminal_cost
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
-    inputs = [kind.sym(name, function.size1_in(i)) for i, name in enumerate(("s", "psi", "c", "d"))]
-    hessian, gradient = ca.hessian(function(*inputs), inputs[0])
-    return ca.Function("terminal", inputs, [ca.densify(gradient), ca.densify(hessian)])

@@ -11,9 +11,11 @@ trajectories run side by side: the columns of an array (n, T B) are ordered by t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 import casadi as ca
@@ -153,11 +155,29 @@ def along(
 ) -> list[ca.MX]:
     """Carry the first output of a stage to its first input, from the first to the last block or from the last on.
 
-    Inputs and outputs (n, T B) are ordered by time either way. What `mapaccum` does, but with a single copy.
+    Inputs and outputs (n, T B) are ordered by time either way. What `mapaccum` does, but with a single copy. Many steps
+    are taken in groups, with a copy more: compilers take more than twice the time for a function of twice the length.
     """
-    blocks = [ca.horzsplit(array, array.size2() // steps) for array in inputs]
-    rows: list[list[ca.MX]] = [[] for _ in range(steps)]
-    for t in reversed(range(steps)) if backwards else range(steps):
-        outputs = stage.call([start, *(block[t] for block in blocks)])
-        start, rows[t] = outputs[0], outputs
+    size = 1 if steps <= _ALONE else math.isqrt(steps)
+    ends = [*range(0, steps, size), steps]
+    lengths = [end - begin for begin, end in pairwise(ends)]
+    groups = {length: stage if size == 1 else _group(stage, length, backwards) for length in lengths}
+    blocks = [ca.horzsplit(array, [end * (array.size2() // steps) for end in ends]) for array in inputs]
+    rows: list[list[ca.MX]] = [[] for _ in lengths]
+    for i in reversed(range(len(lengths))) if backwards else range(len(lengths)):
+        outputs = groups[lengths[i]].call([start, *(block[i] for block in blocks)])
+        start, rows[i] = outputs[0], outputs if size == 1 else outputs[1:]
     return [ca.horzcat(*column) for column in zip(*rows, strict=True)]
+
+
+def _group(stage: ca.Function, length: int, backwards: bool) -> ca.Function:
+    """Some steps: (carried, inputs side by side) -> what is carried on, and all outputs side by side."""
+    start, *inputs = stage.mx_in()
+    wide = [ca.MX.sym("x", array.size1(), array.size2() * length) for array in inputs]
+    outputs = along(stage, start, wide, length, backwards)
+    width = start.size2()
+    carried = outputs[0][:, :width] if backwards else outputs[0][:, -width:]
+    return ca.Function("group", [start, *wide], [carried, *outputs])
+
+
+_ALONE = 32  # so many steps, and no more, are written out one by one

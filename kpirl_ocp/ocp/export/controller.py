@@ -203,14 +203,14 @@ class Controller:
             multipliers=Multipliers(*arrays[2:]),
             objective=found.objective,
             residuals=residuals,
-            status=_status(found.status),
+            status=status_of(found.status),
             iterations=found.iterations,
             barrier=current.barrier,
             message=f"{self._prefix}: {self._function('message')(found.status).decode()}",
         )
 
 
-def _status(code: int) -> Status:
+def status_of(code: int) -> Status:
     """The C enum begins with Python's members, in their order; beyond them a solve has the time limit."""
     known = list(Status)
     return known[code] if code < len(known) else Status.ITERATION_LIMIT

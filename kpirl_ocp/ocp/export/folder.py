@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -50,7 +50,9 @@ def export_c(
     n_s, n_psi, n_c = problem.n_states, problem.n_parameters, problem.n_context
     _, parameters, _ = problem.inputs(np.zeros(n_s), np.ones(n_psi) if psi is None else psi, np.zeros(n_c))
     pairs = [(np.zeros(n_s), np.zeros(n_c))] if examples is None else examples
-    files = _sources(problem, solver, target, parameters)
+    files = sources(problem, solver, target, parameters)
+    files[f"{PREFIX}_functions.c"] = generated.definitions(target.functions)
+    files |= _around(problem, solver, files)
     files["test/records.h"] = header([record(problem, solver, parameters, *pair) for pair in pairs], target.counts)
 
     files = {templates.renamed(name, prefix): templates.renamed(text, prefix) for name, text in files.items()}
@@ -62,28 +64,28 @@ def export_c(
     return out
 
 
-def _sources(problem: OCP, solver: Solver, target: Target, psi: Array) -> dict[str, str]:
-    """Texts of all files but records and manifest, by name."""
+def sources(problem: OCP, solver: Solver, target: Target, psi: Array) -> dict[str, str]:
+    """Texts of the C files by name, without the generated functions themselves."""
     hand_written = [*_COMMON, *(f"{PREFIX}_{name}" for name in target.sources)]
-    files = {name: templates.read(name) for name in hand_written}
-    files |= {
+    return {name: templates.read(name) for name in hand_written} | {
         f"{PREFIX}_config.h": _config(problem, target),
         f"{PREFIX}_data.c": _data(problem, solver, target, psi),
         f"{PREFIX}_functions.h": generated.declarations(target.functions),
-        f"{PREFIX}_functions.c": generated.definitions(target.functions),
     }
+
+
+def _around(problem: OCP, solver: Solver, code: Iterable[str]) -> dict[str, str]:
+    """Build files, example and test; code: names of the C files."""
     words = {
-        "SOURCES": " ".join(sorted(name for name in files if name.endswith(".c"))),
+        "SOURCES": " ".join(sorted(name for name in code if name.endswith(".c"))),
         "TITLE": PREFIX,
         "VERSION": version("kpirl-ocp"),
         "SOLVER": str(solver),
         **{key: str(value) for key, value in dimensions(problem).items()},
     }
-    for name in _AROUND:
-        text = templates.read(name)
-        for word, replacement in words.items():
-            text = text.replace(f"@{word}@", replacement)
-        files[name] = text
+    files = {name: templates.read(name) for name in _AROUND}
+    for word, replacement in words.items():
+        files = {name: text.replace(f"@{word}@", replacement) for name, text in files.items()}
     return files
 
 

@@ -20,6 +20,7 @@ from importlib.resources import files
 import casadi as ca
 
 from kpirl_ocp.ocp.export.templates import LICENCE, PREFIX
+from kpirl_ocp.ocp.kernels import with_fast_kernels
 
 _SIGNATURE = "(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem)"
 _PREAMBLE = f"""{LICENCE}
@@ -57,12 +58,14 @@ def declarations(functions: Sequence[ca.Function]) -> str:
     return "\n".join([*lines, "", "#endif", ""])
 
 
-def definitions(functions: Sequence[ca.Function]) -> str:
-    """The source of all functions."""
+def definitions(functions: Sequence[ca.Function], fast: bool = False) -> str:
+    """The source of all functions; fast: with the kernels of `kpirl_ocp.ocp.kernels`, which take a GNU compiler."""
     generator = ca.CodeGenerator(f"{PREFIX}_functions.c", {"casadi_int": "int", "with_header": False})
     for function in functions:
         generator.add(function)
-    return portable(generator.dump(), [function.name() for function in functions])
+    source = generator.dump()
+    source = with_fast_kernels(source) if fast else with_kernel(source)
+    return portable(source, [function.name() for function in functions])
 
 
 def portable(source: str, names: Sequence[str]) -> str:
@@ -73,7 +76,6 @@ def portable(source: str, names: Sequence[str]) -> str:
     source = _without_metadata(source, names)
     source = re.sub(r"^(int|void|casadi_real|casadi_int) (casadi_\w+\()", r"static \1 \2", source, flags=re.MULTILINE)
     source = source.replace(f"{_SIGNATURE} {{\n", f"{_SIGNATURE} {{\n{_unused('arg', 'res', 'iw', 'w', 'mem')}")
-    source = _with_kernel(source)
     return _PREAMBLE + _without_unused(source)
 
 
@@ -118,9 +120,9 @@ def _without_static_memory(source: str) -> str:
     return source
 
 
-def _with_kernel(source: str) -> str:
+def with_kernel(source: str) -> str:
     """With `kernel.c` in the place of CasADi's dense product."""
-    start = source.find("static void casadi_mtimes_dense(")
+    start = source.find("void casadi_mtimes_dense(")
     if start < 0:
         return source
     end = source.index("\n}\n", start) + len("\n}\n")
