@@ -16,8 +16,6 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp import native
 from kpirl_ocp.ocp.export.resident import _resident, resident
 from kpirl_ocp.ocp.kkt import audit
-from kpirl_ocp.ocp.newton import Newton
-from kpirl_ocp.ocp.real_time import real_time_step
 
 SOLVERS = {"riccati": (Riccati(), 1e-8, 1e-6), "fatrop": (Fatrop(), 1e-6, 1e-4)}  # solver, objective, multipliers
 
@@ -197,23 +195,6 @@ def test_swing_up_is_found_from_rest_by_a_step_that_needs_regularisation():
     found = Riccati().solve(case.problem, case.demonstration.s0, case.psi, case.demonstration.context)
     assert found.status is Status.CONVERGED
     assert found.states[-1, 0] == pytest.approx(np.pi, abs=0.1)
-
-
-@pytest.mark.parametrize("name", ["lqr", "integrator", "tanh network"])
-def test_real_time_step_as_one_function_does_what_the_solver_does(name):
-    problem, s0, psi, context = given(name)
-    tau, start = 1e-4, 1.01 * np.asarray(s0)
-    guess = Riccati(barrier=tau).solve(problem, s0, psi, context)
-    expected = Riccati(steps=1, barrier=tau).solve(problem, start, psi, context, guess=guess)
-    it = Newton(problem, start, np.asarray(psi), np.asarray(context)).resume(guess, tau)
-    arguments = [guess.states.T, guess.actions.T, guess.multipliers.dynamics.T, it.y, it.z, it.nu]
-    S, U, costates, y, z, _, pivot = real_time_step(problem)(*arguments, start, psi, context, tau, 0.0)
-    np.testing.assert_allclose(np.array(S).T, expected.states, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(np.array(U).T, expected.actions, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(np.array(costates).T, expected.multipliers.dynamics, rtol=0, atol=1e-10)
-    assert float(pivot) > 0
-    assert (np.array(y) > 0).all()
-    assert (np.array(z) > 0).all()
 
 
 @pytest.fixture

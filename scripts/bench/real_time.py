@@ -14,16 +14,12 @@ from bench.problem import N_Z, Data
 from bench.settings import Preset
 from bench.timing import Timing, seconds
 from kpirl_ocp import Riccati
-from kpirl_ocp.ocp.calls import Call
-from kpirl_ocp.ocp.native import compiled
-from kpirl_ocp.ocp.newton import Newton
-from kpirl_ocp.ocp.real_time import real_time_step
 from kpirl_ocp.types import Array
 
 BARRIER = 1e-2  # tau; with 1e-4 single steps creep along the bounds, and the loop does not follow the goal
 _NOISE = 1e-3  # of a keypoint coordinate and step
 _RADIUS, _PERIOD = 0.03, 50  # of the goal's motion, in image units and control steps
-PUBLIC, ALONE, CONVERGED = "Riccati(steps=1)", "real_time_step, compiled", "solved to 1e-8 at every step"
+PUBLIC, CONVERGED = "Riccati(steps=1)", "solved to 1e-8 at every step"
 Controller = Callable[[Array, Array], Array]
 """State (n_s,) and goal (n_z,) -> action (n_u,)."""
 
@@ -40,7 +36,7 @@ def measure(preset: Preset) -> Part:
             rows.append([data.name, name, timing, f"{1e3 * timing.minimum:.3g}", f"{error:.5f}"])
     header = ["weights", "controller", "time per step [ms]", "least", "mean squared distance to the goal"]
     title = f"Closed loop, T = {preset.paper_horizon}, {preset.control_steps} steps"
-    note = f"Both real-time iterations smooth the bounds with tau = {BARRIER:.0e}; so does the solver below them."
+    note = f"The real-time iteration smooths the bounds with tau = {BARRIER:.0e}; so does the solver below it."
     return Part(numbers, [Table(title, header, rows, note)])
 
 
@@ -75,19 +71,7 @@ def _controllers(data: Data) -> dict[str, Controller]:
         act(data.s0[0], data.goal[0])  # builds and compiles
         return act
 
-    step = Call(compiled(real_time_step(problem)))
-    at = Newton(problem, data.s0[0], psi, data.goal[0]).resume(start, BARRIER)
-    split = problem.horizon * problem.n_states
-    iterate = [np.concatenate([at.s0, at.w[:split]]), at.w[split:], at.costates, at.y, at.z, at.nu]
-    barrier, regularisation = np.array([BARRIER]), np.zeros(1)
-
-    def alone(state: Array, goal: Array) -> Array:
-        *iterate[:], _ = step(*iterate, state, psi, goal, barrier, regularisation)
-        return iterate[1][: problem.n_actions]
-
-    alone(data.s0[0], data.goal[0])
     return {
         PUBLIC: by_solver(Riccati(steps=1, barrier=BARRIER)),
-        ALONE: alone,
         CONVERGED: by_solver(converged),
     }
