@@ -80,7 +80,7 @@ def unrolled_function(
     initial = walk[0][2][:, :columns]
     point = terminal_point(at, columns)
     output = ca.vertcat(value, remainder, kink, initial, gradient, point)
-    return ca.Function("unrolled", [u, s0, psi, context, observed], [output])
+    return ca.Function("unrolled", [u, s0, psi, context, observed], [ca.densify(output)])
 
 
 def _segments(steps: int) -> list[int]:
