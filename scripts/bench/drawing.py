@@ -22,8 +22,8 @@ Panel = Callable[[Axes], None]
 def draw(results: Results, bars: list[Bar], preset: Preset, path: Path) -> Path:
     """Write the PNG."""
     panels = _panels(results, bars, preset)
-    columns = min(4, len(panels))
-    figure, axes = figures.new_figure(-(-len(panels) // columns), columns, width=4.6, height=3.8)
+    columns = min(3, len(panels))
+    figure, axes = figures.new_figure(-(-len(panels) // columns), columns, width=5.2, height=4.0)
     for axis, panel in zip(axes, panels, strict=False):
         panel(axis)
     for axis in axes[len(panels) :]:
@@ -60,7 +60,8 @@ def _over_horizons(axis: Axes, grid: Numbers, steps: int, preset: Preset) -> Non
     axis.set_xticks(preset.horizons, list(map(str, preset.horizons)))
     axis.minorticks_off()
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=7)
+    axis.set_ylim(top=20 * axis.get_ylim()[1])  # room for the legend
+    axis.legend(fontsize=7, loc="upper left")
 
 
 def _solvers(axis: Axes, numbers: Numbers) -> None:
@@ -69,7 +70,7 @@ def _solvers(axis: Axes, numbers: Numbers) -> None:
         times = [np.mean([start["median_ms"] for start in results[name]]) for name in names]
         axis.barh(np.arange(len(names)) + 0.38 * index, times, 0.36, color=figures.COLOURS[index], label=weights)
     axis.set_yticks(np.arange(len(names)) + 0.19, names, fontsize=8)
-    axis.set(xscale="log", xlabel="time of a solve [ms]", title="bounded OCP, tanh, to 1e-6")
+    axis.set(xscale="log", xlabel="time of a solve [ms]", title="bounded OCP, tanh, to 1e-6 or as said")
     axis.invert_yaxis()
     axis.grid(alpha=0.3, axis="x")
     axis.legend(fontsize=8)
@@ -89,7 +90,8 @@ def _growth(axis: Axes, numbers: Numbers) -> None:
     axis.set_xticks(horizons, list(map(str, horizons)))
     axis.minorticks_off()
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=8)
+    axis.set_ylim(top=5 * axis.get_ylim()[1])
+    axis.legend(fontsize=8, loc="upper left")
 
 
 def _memory(axis: Axes, numbers: Numbers) -> None:
@@ -107,7 +109,8 @@ def _ceilings(axis: Axes, numbers: Numbers) -> None:
         axis.axvline(value, color=colour, label=f"{name} ceiling")
     axis.set(xlabel="GFLOP/s in products", title="unrolled gradient: weights, demonstrations")
     axis.invert_yaxis()
-    axis.legend(fontsize=8)
+    axis.set_xlim(right=1.05 * max(numbers["ceilings_gflop_per_s"].values()))
+    axis.legend(fontsize=8, loc="lower center")
 
 
 def _iiwa(axis: Axes, numbers: Numbers) -> None:
