@@ -9,6 +9,8 @@ eliminates y, z and nu, which leaves the linear-quadratic problem of `kpirl_ocp.
 
     H + G' (z/y) G + E' E / delta + rho R,    gradient + G' (tau/y + z/y (g + y)) + E' (w_fixed - b) / delta.
 
+A second step with the same factors corrects for the product dy dz that this leaves out (Mehrotra, 1992).
+
 R is the identity of the actions: enough of it makes the reduced Hessian positive, and states may go on to move far.
 Entries fixed by coinciding bounds are equalities with a multiplier nu of their own, updated by the proximal step
 nu + (w_fixed - b) / delta: exact where the method converges, and never singular.
@@ -23,11 +25,13 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.recursion import factorise, substitute
+from kpirl_ocp.ocp.recursion import factor_symbols, factorise, substitute
+from kpirl_ocp.ocp.stage_blocks import by_stage, path_product, push_stage, selection, stiffen_stage
 from kpirl_ocp.types import Array, Indices
 
 PROXIMAL = 1e-9  # delta
 BOUNDARY = 0.99  # smallest share of the way to the boundary that a step may go
+CORRECTED = 0.5  # length of the first step from which the second order is believed
 CENTRE = 1e10  # slack * multiplier stays within this factor of tau
 
 
@@ -98,73 +102,104 @@ def newton_step(problem: OCP) -> ca.Function:
     Of (r, r_T, defects, F, G, H, H_T) of `stages.second`, g (m,), the violation of fixed entries, the gap in s_0,
     y, z, nu, tau and rho. K (n_u, n_s T) is the feedback du_t = ... + K_t ds_t.
     """
+    inputs, tau, rho = _symbols(problem), ca.MX.sym("tau"), ca.MX.sym("rho")
+    *_, y, _, _ = inputs
+    factors = _factors(problem, inputs, rho)
+    step = _solve(problem)(*inputs, *factors, ca.repmat(tau, y.numel(), 1))
+    return ca.Function("newton_step", [*inputs, tau, rho], [*step, factors[-1], _gains(problem, factors)])
+
+
+@lru_cache(maxsize=64)
+def corrected_step(problem: OCP) -> ca.Function:
+    """The step towards a tau that it chooses itself, corrected to second order (Mehrotra, 1992).
+
+    A first step (da), towards tau = least, shows how small mu = y.z / m can become while y and z stay positive. Then
+
+        tau = mu (mu_a / mu)^3 within [least, most],      y z + z dy + y dz = tau - dy_a dz_a
+
+    with the same factors. The correction supposes that most of the first step can be taken, and is left out where it
+    can not. Inputs as for `newton_step` without rho, with least and most in the place of tau; its outputs, and tau.
+    """
+    inputs, least, most = _symbols(problem), ca.MX.sym("least"), ca.MX.sym("most")
+    *_, y, z, _ = inputs
+    factors, m = _factors(problem, inputs, ca.MX(0)), y.numel()
+    tau, target = least, ca.MX(0, 1)
+    if m:
+        *_, dy, dz, _ = _solve(problem)(*inputs, *factors, ca.repmat(least, m, 1))
+        primal, dual = _longest(y, dy), _longest(z, dz)
+        mu, mu_first = ca.dot(y, z) / m, ca.dot(y + primal * dy, z + dual * dz) / m
+        tau = ca.fmax(least, ca.fmin(most, mu * (mu_first / mu) ** 3))
+        target = tau - (ca.fmin(primal, dual) > CORRECTED) * dy * dz
+    step = _solve(problem)(*inputs, *factors, target)
+    outputs = [*step, factors[-1], _gains(problem, factors), tau]
+    return ca.Function("corrected_step", [*inputs, least, most], outputs)
+
+
+def _symbols(problem: OCP) -> list[ca.MX]:
+    """r, r_T, defects, F, G, H, H_T, g, off, gap, y, z, nu."""
+    steps, n_s, n_x, n_h = problem.horizon, problem.n_states, problem.n_states + problem.n_actions, problem.n_path
+    m, n_fixed = rows(problem).n_inequalities, len(rows(problem).fixed)
+    shapes = {"r": (n_x, steps), "r_T": (n_s,), "d": (n_s, steps), "F": (n_s, n_x * steps), "G": (n_h, n_x * steps)}
+    shapes |= {"H": (n_x, n_x * steps), "H_T": (n_s, n_s), "g": (m,), "off": (n_fixed,), "gap": (n_s,)}
+    shapes |= {"y": (m,), "z": (m,), "nu": (n_fixed,)}
+    return [ca.MX.sym(name, *shape) for name, shape in shapes.items()]
+
+
+def _factors(problem: OCP, inputs: list[ca.MX], rho: ca.MX) -> tuple[ca.MX, ...]:
+    """P, W, Y and pivots of the condensed Hessian."""
+    _, _, _, F, G, H, H_last, _, _, _, y, z, _ = inputs
     steps, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
-    at = rows(problem)
-    m_b, n_h = len(at.bounds), problem.n_path
-    r, last = ca.MX.sym("r", n_x, steps), ca.MX.sym("r_T", n_s)
-    defects, F, G = ca.MX.sym("d", n_s, steps), ca.MX.sym("F", n_s, n_x * steps), ca.MX.sym("G", n_h, n_x * steps)
-    H, H_last = ca.MX.sym("H", n_x, n_x * steps), ca.MX.sym("H_T", n_s, n_s)
-    g, off, gap = ca.MX.sym("g", at.n_inequalities), ca.MX.sym("off", len(at.fixed)), ca.MX.sym("gap", n_s)
-    y, z, nu = ca.MX.sym("y", g.numel()), ca.MX.sym("z", g.numel()), ca.MX.sym("nu", off.numel())
-    tau, rho = ca.MX.sym("tau"), ca.MX.sym("rho")
+    bounds, fixed = _selections(problem)
+    weights, weights_path = _split(problem, z / y)
+    actions = ca.vertcat(ca.DM(steps * n_s, 1), ca.DM.ones(steps * problem.n_actions))
+    stiff, stiff_last = by_stage(problem, (bounds * bounds) @ weights + ca.sum2(fixed) / PROXIMAL + rho * actions)
+    condensed = stiffen_stage(n_x, problem.n_path).map(steps)(H, G, stiff, weights_path)
+    return factorise(problem)(F, condensed, H_last + ca.diag(stiff_last))
+
+
+@lru_cache(maxsize=64)
+def _solve(problem: OCP) -> ca.Function:
+    """(r .. nu of `_symbols`, P, W, Y, pivots, target of y z (m,)) -> ds, du, dlambda, dy, dz, dnu."""
+    inputs, factors = _symbols(problem), factor_symbols(problem)
+    r, last, defects, F, G, _, _, g, off, gap, y, z, nu = inputs
+    steps, n_h, n_x = problem.horizon, problem.n_path, problem.n_states + problem.n_actions
+    target = ca.MX.sym("target", y.numel())
 
     weights = z / y
-    force = tau / y + weights * (g + y)  # z after the step, before w moves
-    split = [0, m_b, g.numel()]  # bounds, path constraints
-    (force_b, force_h), (weights_b, weights_h) = ca.vertsplit(force, split), ca.vertsplit(weights, split)
-    pushing = force_h - ca.vertsplit(z, split)[1]  # the gradient r holds the path constraints' z
-    bounds, fixed = selection(problem, at.entries, at.signs), selection(problem, at.fixed, np.ones(len(at.fixed)))
-    actions = ca.vertcat(ca.DM(steps * n_s, 1), ca.DM.ones(steps * problem.n_actions))
-    push, push_last = by_stage(problem, bounds @ force_b + fixed @ (nu + off / PROXIMAL))
-    stiff, stiff_last = by_stage(problem, (bounds * bounds) @ weights_b + ca.sum2(fixed) / PROXIMAL + rho * actions)
-    path = (ca.reshape(x, n_h, steps) for x in (weights_h, pushing))
-    condensed, slope = condense_stage(n_x, n_h).map(steps)(H, r + push, G, stiff, *path)
+    force = target / y + weights * (g + y)  # z after the step, before w moves
+    push, push_path = _split(problem, force)
+    _, pushed = _split(problem, z)  # by the path constraints, which r knows already
+    bounds, fixed = _selections(problem)
+    push, push_last = by_stage(problem, bounds @ push + fixed @ (nu + off / PROXIMAL))
+    slope = push_stage(n_h, n_x).map(steps)(r + push, G, push_path - pushed)
 
-    P, W, Y, pivots = factorise(problem)(F, condensed, H_last + ca.diag(stiff_last))
-    ds, du, dlam = substitute(problem)(F, P, W, Y, pivots, slope, last + push_last, defects, gap)
+    ds, du, dlam = substitute(problem)(F, *factors, slope, last + push_last, defects, gap)
     dw = ca.vertcat(ca.vec(ds[:, 1:]), ca.vec(du))
     dg = ca.vertcat(bounds.T @ dw, ca.vec(path_product(n_h, n_x).map(steps)(G, ca.vertcat(ds[:, :steps], du))))
-    step = [ds, du, dlam, -(g + y) - dg, force + weights * dg - z, (fixed.T @ dw + off) / PROXIMAL, pivots]
-    step.append(_gains(n_s, problem.n_actions).map(steps)(W, Y, pivots))
-    inputs = [r, last, defects, F, G, H, H_last, g, off, gap, y, z, nu, tau, rho]
-    return ca.Function("newton_step", inputs, [ca.densify(x) for x in step])
+    step = [ds, du, dlam, -(g + y) - dg, force + weights * dg - z, (fixed.T @ dw + off) / PROXIMAL]
+    return ca.Function("solve", [*inputs, *factors, target], [ca.densify(x) for x in step])
 
 
-def _gains(n_s: int, n_u: int) -> ca.Function:
-    """(W, Y, pivots) of a stage -> K = -W' J Y."""
+def _longest(value: ca.MX, change: ca.MX) -> ca.MX:
+    """The longest step in (0, 1] that keeps value + length * change from becoming negative; value > 0."""
+    return 1 / ca.fmax(1, ca.mmax(-change / value))
+
+
+def _selections(problem: OCP) -> tuple[ca.DM, ca.DM]:
+    """The transposed rows of the bounds (n_w, m_b), and those of the fixed entries."""
+    at = rows(problem)
+    return selection(problem, at.entries, at.signs), selection(problem, at.fixed, np.ones(len(at.fixed)))
+
+
+def _split(problem: OCP, values: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """Of the bounds (m_b,), and of the path constraints (n_h, T)."""
+    bounds, path = ca.vertsplit(values, [0, len(rows(problem).bounds), values.numel()])
+    return bounds, ca.reshape(path, problem.n_path, problem.horizon)
+
+
+def _gains(problem: OCP, factors: tuple[ca.MX, ...]) -> ca.MX:
+    """K = -W' J Y of all stages (n_u, n_s T)."""
+    n_s, n_u, (_, *parts) = problem.n_states, problem.n_actions, factors
     W, Y, pivots = ca.MX.sym("W", n_u, n_u), ca.MX.sym("Y", n_u, n_s), ca.MX.sym("D", n_u)
-    return ca.Function("gains", [W, Y, pivots], [-W.T @ (ca.repmat(ca.sign(pivots), 1, n_s) * Y)])
-
-
-def condense_stage(n_x: int, n_h: int) -> ca.Function:
-    """(H, r, G, stiffness of x, weights of h, force on h) -> H + diag(stiffness) + G' weights G, r + G' force."""
-    H, G = ca.MX.sym("H", n_x, n_x), ca.MX.sym("G", n_h, n_x)
-    r, stiffness = ca.MX.sym("r", n_x), ca.MX.sym("stiffness", n_x)
-    weights, force = ca.MX.sym("weights", n_h), ca.MX.sym("force", n_h)
-    condensed = ca.MX(H)
-    condensed.nz[:: n_x + 1] = H.nz[:: n_x + 1] + stiffness
-    outputs = [condensed, r]
-    if n_h:
-        outputs = [ca.mac(G.T, ca.repmat(weights, 1, n_x) * G, condensed), ca.mac(force.T, G, r.T).T]
-    return ca.Function("condense", [H, r, G, stiffness, weights, force], outputs)
-
-
-def path_product(rows: int, columns: int) -> ca.Function:
-    """(G, x) -> G x, also when there is no row."""
-    G, x = ca.MX.sym("G", rows, columns), ca.MX.sym("x", columns)
-    return ca.Function("product", [G, x], [G @ x if rows else ca.MX(0, 1)])
-
-
-def selection(problem: OCP, entries: Indices, signs: Array) -> ca.DM:
-    """The sparse (n_w, m) matrix with one sign per column, in the row of its entry."""
-    n_w = problem.horizon * (problem.n_states + problem.n_actions)
-    if not len(entries):
-        return ca.DM(n_w, 0)
-    return ca.DM.triplet(entries.tolist(), list(range(len(entries))), ca.DM(signs), n_w, len(entries))
-
-
-def by_stage(problem: OCP, w: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """w (n_w,) as columns x_t (n_x, T), with zeros for the given s_0, and s_T (n_s,)."""
-    steps, n_s = problem.horizon, problem.n_states
-    states = ca.horzcat(ca.MX.zeros(n_s, 1), ca.reshape(w[: steps * n_s], n_s, steps))
-    return ca.vertcat(states[:, :steps], ca.reshape(w[steps * n_s :], problem.n_actions, steps)), states[:, steps]
+    stage = ca.Function("gains", [W, Y, pivots], [-W.T @ (ca.repmat(ca.sign(pivots), 1, n_s) * Y)])
+    return stage.map(problem.horizon)(*parts)

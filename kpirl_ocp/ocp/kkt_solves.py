@@ -11,11 +11,11 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.interior_point import by_stage, condense_stage, path_product, selection
 from kpirl_ocp.ocp.kkt import bounded_entries, transcribe
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.recursion import condense, factorise, substitute
 from kpirl_ocp.ocp.spectrum import lanczos
+from kpirl_ocp.ocp.stage_blocks import by_stage, path_product, selection, stiffen_stage
 from kpirl_ocp.ocp.sweeps import along
 
 PRODUCTS = 10  # Lanczos steps
@@ -31,7 +31,7 @@ def factor(problem: OCP) -> ca.Function:
     B = _bounds(problem)
     stiff, stiff_last = by_stage(problem, (B * B) @ bounds)
     n_x, n_h, steps = problem.n_states + problem.n_actions, problem.n_path, problem.horizon
-    H_stiff, _ = condense_stage(n_x, n_h).map(steps)(H, ca.MX(n_x, steps), G, stiff, path, ca.MX(n_h, steps))
+    H_stiff = stiffen_stage(n_x, n_h).map(steps)(H, G, stiff, path)
     outputs = factorise(problem)(F, H_stiff, last + ca.diag(stiff_last))
     return ca.Function("factor", [F, G, H, last, weights], list(outputs))
 

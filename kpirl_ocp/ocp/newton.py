@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from kpirl_ocp.ocp.calls import call
+from kpirl_ocp.ocp.calls import call, call_one_of
 from kpirl_ocp.ocp.follow import follow
-from kpirl_ocp.ocp.interior_point import BOUNDARY, CENTRE, Rows, newton_step, rows
+from kpirl_ocp.ocp.interior_point import BOUNDARY, CENTRE, Rows, corrected_step, newton_step, rows
 from kpirl_ocp.ocp.kkt import largest
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.stages import by_time, first, second, values
@@ -46,7 +46,7 @@ class Iterate:
 class Step:
     """A Newton step, its longest lengths that keep y and z positive, and whether all pivots were positive.
 
-    gains: K (n_u, n_s T), flat.
+    tau: that it leads towards. gains: K (n_u, n_s T), flat.
     """
 
     ds0: Array
@@ -55,16 +55,17 @@ class Step:
     dy: Array
     dz: Array
     dnu: Array
+    tau: float
     primal_length: float
     dual_length: float
     regularisation: float
     positive: bool
     gains: Array
 
-    def slope(self, at: Derivatives, tau: float) -> float:
+    def slope(self, at: Derivatives) -> float:
         """Directional derivative of J - tau sum log y."""
         moved = np.concatenate([self.ds0, self.dw])
-        return float(at.cost_gradient @ moved - tau * np.sum(self.dy / at.iterate.y))
+        return float(at.cost_gradient @ moved - self.tau * np.sum(self.dy / at.iterate.y))
 
 
 @dataclass(frozen=True)
@@ -136,10 +137,11 @@ class Newton:
 
     def __init__(self, problem: OCP, s0: Array, psi: Array, context: Array) -> None:
         self.problem, self.s0, self.psi, self.context = problem, s0, psi, context
-        functions = (values, first, second, newton_step, follow)
-        self._values, self._first, self._second, self._step, self._follow = (
-            call(problem, build) for build in functions
+        self._values, self._first, self._second, self._follow = (
+            call(problem, build) for build in (values, first, second, follow)
         )
+        steps = newton_step, corrected_step
+        self._step, self._corrected = (call_one_of(problem, steps, build) for build in steps)
         self._rows: Rows = rows(problem)
 
     def start(self, guess: Trajectory | None) -> Iterate:
@@ -189,11 +191,24 @@ class Newton:
         )
 
     def step(self, at: Derivatives, tau: float, regularisation: float) -> Step:
-        """The Newton step at an iterate whose derivatives are finite."""
-        it, (r, r_last), (F, G, H, H_last) = at.iterate, at.slopes, at.matrices
-        barrier, rho = np.array([tau]), np.array([regularisation])
-        arguments = (r, r_last, at.defects, F, G, H, H_last, at.rows, at.off, at.gap, it.y, it.z, it.nu, barrier, rho)
-        ds, du, dcostates, dy, dz, dnu, pivots, gains = self._step(*arguments)
+        """The Newton step towards tau at an iterate whose derivatives are finite."""
+        *changes, pivots, gains = self._step(*self._arguments(at), np.array([tau]), np.array([regularisation]))
+        return self._made(at, changes, pivots, gains, tau, regularisation)
+
+    def corrected_step(self, at: Derivatives, least: float, most: float) -> Step:
+        """The same, towards a tau between least and most that it chooses, with Mehrotra's correction."""
+        limits = (np.array([number]) for number in (least, most))
+        *changes, pivots, gains, (tau,) = self._corrected(*self._arguments(at), *limits)
+        return self._made(at, changes, pivots, gains, float(tau), 0.0)
+
+    def _arguments(self, at: Derivatives) -> tuple[Array, ...]:
+        it = at.iterate
+        return (*at.slopes, at.defects, *at.matrices, at.rows, at.off, at.gap, it.y, it.z, it.nu)
+
+    def _made(
+        self, at: Derivatives, changes: list[Array], pivots: Array, gains: Array, tau: float, regularisation: float
+    ) -> Step:
+        ds, du, dcostates, dy, dz, dnu = changes
         share = max(BOUNDARY, 1 - tau)
         return Step(
             ds0=ds[: len(self.s0)],
@@ -202,14 +217,15 @@ class Newton:
             dy=dy,
             dz=dz,
             dnu=dnu,
-            primal_length=_longest(it.y, dy, share),
-            dual_length=_longest(it.z, dz, share),
+            tau=tau,
+            primal_length=longest(at.iterate.y, dy, share),
+            dual_length=longest(at.iterate.z, dz, share),
             regularisation=regularisation,
             positive=bool(((pivots > 0) & (pivots < np.inf)).all() and np.isfinite(du).all()),
             gains=gains,
         )
 
-    def trial(self, at: Derivatives, step: Step, length: float, tau: float) -> tuple[Iterate, float, float]:
+    def trial(self, at: Derivatives, step: Step, length: float) -> tuple[Iterate, float, float]:
         """The point after a step of this length along the dynamics; its theta and phi, NaN included.
 
         Bounds keep the share 1 - length of their residual: one that holds holds on. Where that leaves too little of
@@ -227,8 +243,8 @@ class Newton:
         off = moved.w[self._rows.fixed] - self._rows.values
         parts = ((1 - length) * at.defects, self.s0 - moved.s0, off, g + y)
         theta = sum(np.abs(part).sum() for part in parts)
-        inside = (y >= _REMAINDER * min(1 - BOUNDARY, tau) * it.y).all()
-        phi = objective - tau * np.log(y).sum() if inside else np.inf
+        outside = (y < _REMAINDER * min(1 - BOUNDARY, step.tau) * it.y).any()
+        phi = np.inf if outside else objective - step.tau * np.log(y).sum()
         return replace(moved, y=y), float(theta), float(phi)
 
     def centre(self, at: Iterate, tau: float) -> Iterate:
@@ -276,6 +292,12 @@ class Newton:
         return w
 
 
-def _longest(value: Array, change: Array, share: float) -> float:
+def shortened(length: float, before: Iterate, after: Iterate) -> float:
+    """Half the length; or more, up to what would have kept the share 1 - BOUNDARY of slacks that shrank too much."""
+    share = longest(before.y, after.y - before.y, BOUNDARY)
+    return length * (min(max(share, 0.5), 0.95) if share < 1 else 0.5)
+
+
+def longest(value: Array, change: Array, share: float) -> float:
     """The longest step in (0, 1] that keeps value + length * change at least (1 - share) value; value > 0."""
     return min(1.0, share / max(float(np.max(-change / value, initial=0.0)), share))

@@ -76,6 +76,13 @@ def substitute(problem: OCP) -> ca.Function:
     return ca.Function("substitute", [F, P, W, Y, pivots, q, last, d, s], [ca.horzcat(s, states), u, costates])
 
 
+def factor_symbols(problem: OCP) -> list[ca.MX]:
+    """P, W, Y and pivots."""
+    n_s, n_u, _, steps = _sizes(problem)
+    shapes = {"P": (n_s, n_s * steps), "W": (n_u, n_u * steps), "Y": (n_u, n_s * steps), "pivots": (n_u, steps)}
+    return [ca.MX.sym(name, *shape) for name, shape in shapes.items()]
+
+
 def _sizes(problem: OCP) -> tuple[int, int, int, int]:
     """n_s, n_u, n_x and T."""
     n_s, n_u = problem.n_states, problem.n_actions

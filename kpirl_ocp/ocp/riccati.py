@@ -1,9 +1,10 @@
 """A primal-dual interior-point method whose Newton steps are Riccati recursions: O(T) time and memory.
 
-Multiple shooting with exact Hessians. The pivots of the recursion show whether the Hessian is positive along the
-dynamics; where it is not, weight on the actions is added (as in Waechter and Biegler, 2006, section 3.1). Steps follow
-the dynamics (`kpirl_ocp.ocp.follow`), as long as a filter accepts. The recursion is that of Rao, Wright and Rawlings
-(1998) and of HPIPM (Frison and Diehl, 2020).
+Multiple shooting with exact Hessians and Mehrotra's predictor-corrector steps, which lower tau on the way. The pivots
+of the recursion show whether the Hessian is positive along the dynamics; where it is not, Newton steps with weight on
+the actions keep to the same tau (as in Waechter and Biegler, 2006, section 3.1). Steps follow the dynamics
+(`kpirl_ocp.ocp.follow`), as long as a filter accepts. The recursion is that of Rao, Wright and Rawlings (1998) and of
+HPIPM (Frison and Diehl, 2020).
 """
 
 from __future__ import annotations
@@ -16,14 +17,13 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.filter import Filter
 from kpirl_ocp.ocp.kkt import largest
-from kpirl_ocp.ocp.newton import Derivatives, Iterate, Newton, Step
+from kpirl_ocp.ocp.newton import Derivatives, Iterate, Newton, Step, shortened
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.solver import Guess
 from kpirl_ocp.types import Array, KKTResiduals, Solution, Status
 
 _START = 0.3  # barrier parameter of a cold start, relative to the gradient of the objective there
 _WARM = 1e-6  # largest one of a warm start
-_SOLVED = 30.0  # a barrier problem counts as solved when its residual is below this times tau, relative to the cost
 _LARGE = 100.0  # multipliers above this count as large, as in Ipopt
 _SHORTEST = 1e-10  # step length below which a line search gives up
 _TINY = 1e-14  # relative step below which rounding decides, so that the step is taken as it is
@@ -109,7 +109,6 @@ class _Run:
         while True:
             if not self.at.finite:
                 return Status.NOT_FINITE
-            self._tighten()
             if self._solved:
                 return Status.CONVERGED
             if self.iterations == self.solver.max_iterations:
@@ -147,20 +146,12 @@ class _Run:
         Relative to larger multipliers alone, the weakest of the active constraints would stay too far from its bound.
         """
         found = self.at.residuals(self.solver.barrier)
-        return found.worst <= self.tolerance and found.complementarity <= 10 * self._final_tau
+        return found.worst <= self.tolerance and found.complementarity <= 2 * self._final_tau
 
     @property
     def _final_tau(self) -> float:
         """The barrier to stop at: a tenth of the tolerance, in units of the multipliers where these are large."""
         return self.solver.barrier or self.solver.tolerance / 10 * max(1.0, self.at.scale / _LARGE)
-
-    def _tighten(self) -> None:
-        """Lower tau when its own problem is solved (Waechter and Biegler, eq. 7)."""
-        before, final = self.tau, self._final_tau
-        while self.tau > final and self.at.residuals(self.tau).worst <= _SOLVED * self.tau / self.at.scale:
-            self.tau = max(final, min(0.2 * self.tau, self.tau * self.tau**0.5))
-        if self.tau != before:
-            self.filter = Filter.starting_at(self.at.violation)
 
     def _step(self, regularisation: float) -> Step | None:
         """The Newton step, with as much regularisation as the pivots ask for; None if none is enough."""
@@ -175,21 +166,34 @@ class _Run:
         return None
 
     def _search(self) -> bool:
-        """Move along a Newton step as the filter allows; shorten the step by regularisation if it never does."""
+        """Move along the corrected step where it is one to a minimum; else along Newton steps, regularised."""
+        least = self._final_tau
+        step = self.newton.corrected_step(self.at, least, max(self.tau, least))
+        if step.positive:
+            if step.tau != self.tau:
+                self.tau, self.filter = step.tau, Filter.starting_at(self.at.violation)
+            if self._move_along(step):
+                return True
         rho = 0.0
         for _ in range(_ATTEMPTS):
-            step = self._step(rho)
-            if step is None:
+            newton = self._step(rho)
+            if newton is None:
                 return False
-            length, before, slope = step.primal_length, self.at.merit(self.tau), step.slope(self.at, self.tau)
-            tiny = largest(step.dw) <= _TINY * (1 + largest(self.iterate.w))
-            while length >= _SHORTEST:
-                trial, *merit = self.newton.trial(self.at, step, length, self.tau)
-                if (tiny and np.isfinite(merit[1])) or self.filter.accepts(*before, slope, length, merit):
-                    self._arrive(replace(trial, z=self.iterate.z + step.dual_length * step.dz))
-                    return True
-                length /= 2
-            rho = max(100 * step.regularisation, 1e-4)
+            if self._move_along(newton):
+                return True
+            rho = max(100 * newton.regularisation, 1e-4)
+        return False
+
+    def _move_along(self, step: Step) -> bool:
+        """Move by the longest length that the filter accepts, if there is one."""
+        length, before, slope = step.primal_length, self.at.merit(step.tau), step.slope(self.at)
+        tiny = largest(step.dw) <= _TINY * (1 + largest(self.iterate.w))
+        while length >= _SHORTEST:
+            trial, *merit = self.newton.trial(self.at, step, length)
+            if (tiny and np.isfinite(merit[1])) or self.filter.accepts(*before, slope, length, merit):
+                self._arrive(replace(trial, z=self.iterate.z + step.dual_length * step.dz))
+                return True
+            length = shortened(length, self.iterate, trial) if np.isinf(merit[1]) else length / 2
         return False
 
     def _move(self, step: Step, length: float, last: bool = False) -> None:

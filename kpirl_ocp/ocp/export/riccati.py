@@ -7,18 +7,18 @@ import casadi as ca
 from kpirl_ocp.ocp.export.target import Target, dynamics
 from kpirl_ocp.ocp.follow import follow
 from kpirl_ocp.ocp.influence import pull
-from kpirl_ocp.ocp.interior_point import newton_step, rows
+from kpirl_ocp.ocp.interior_point import corrected_step, newton_step, rows
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.riccati import Riccati
 from kpirl_ocp.ocp.stages import first, second, values
 
 
 def target(problem: OCP, solver: Riccati) -> Target:
-    """Values, first and second derivatives, Newton step, line search along the dynamics, and the pull-back of psi."""
+    """Values, first and second derivatives, Newton steps, line search along the dynamics, and the pull-back of psi."""
     at = rows(problem)
     functions: list[ca.Function] = [
         dynamics(problem),
-        *(build(problem) for build in (values, first, second, newton_step, follow, pull)),
+        *(build(problem) for build in (values, first, second, newton_step, corrected_step, follow, pull)),
     ]
     return Target(
         kind="riccati",

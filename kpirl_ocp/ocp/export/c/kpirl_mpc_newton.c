@@ -144,15 +144,12 @@ static real longest(const real *value, const real *change, int count, real share
   return smaller(1, share / most);
 }
 
-void kpirl_mpc_find_step(kpirl_mpc *mpc, real regularisation) {
-  kpirl_mpc_workspace *work = &mpc->work;
+/* The inputs and outputs that newton_step and corrected_step have in common. */
+static void hand_over(kpirl_mpc_workspace *work, const real **arguments, real **results) {
   const kpirl_mpc_iterate *at = &work->iterate;
   const kpirl_mpc_derivatives *d = &work->at;
   kpirl_mpc_step *step = &work->step;
   kpirl_mpc_iterate *change = &step->change;
-  const real *arguments[15], share = larger(BOUNDARY, 1 - work->tau);
-  real *results[8];
-  int i;
   arguments[0] = d->r;
   arguments[1] = d->r_last;
   arguments[2] = d->defects;
@@ -166,8 +163,6 @@ void kpirl_mpc_find_step(kpirl_mpc *mpc, real regularisation) {
   arguments[10] = at->y;
   arguments[11] = at->z;
   arguments[12] = at->nu;
-  arguments[13] = &work->tau;
-  arguments[14] = &regularisation;
   results[0] = change->point;
   results[1] = change->point + STATES;
   results[2] = change->costates;
@@ -176,12 +171,49 @@ void kpirl_mpc_find_step(kpirl_mpc *mpc, real regularisation) {
   results[5] = change->nu;
   results[6] = step->pivots;
   results[7] = step->gains;
-  kpirl_mpc_call(mpc, kpirl_mpc_newton_step, 15, arguments, 8, results);
+}
+
+/* How far it may go, and whether it leads to a minimum. */
+static void judge(kpirl_mpc_workspace *work, real regularisation) {
+  const kpirl_mpc_iterate *at = &work->iterate, *change = &work->step.change;
+  kpirl_mpc_step *step = &work->step;
+  const real share = larger(BOUNDARY, 1 - step->tau);
+  int i;
   step->primal_length = longest(at->y, change->y, ROWS, share);
   step->dual_length = longest(at->z, change->z, ROWS, share);
   step->regularisation = regularisation;
   step->positive = kpirl_mpc_all_finite(change->point + STATES, T * NU);
   for (i = 0; i < T * NU; ++i) step->positive = step->positive && step->pivots[i] > 0 && isfinite(step->pivots[i]);
+}
+
+void kpirl_mpc_find_step(kpirl_mpc *mpc, real regularisation) {
+  const real *arguments[15];
+  real *results[8];
+  mpc->work.step.tau = mpc->work.tau;
+  hand_over(&mpc->work, arguments, results);
+  arguments[13] = &mpc->work.tau;
+  arguments[14] = &regularisation;
+  kpirl_mpc_call(mpc, kpirl_mpc_newton_step, 15, arguments, 8, results);
+  judge(&mpc->work, regularisation);
+}
+
+void kpirl_mpc_find_corrected_step(kpirl_mpc *mpc, real least, real most) {
+  const real *arguments[15];
+  real *results[9];
+  hand_over(&mpc->work, arguments, results);
+  arguments[13] = &least;
+  arguments[14] = &most;
+  results[8] = &mpc->work.step.tau;
+  kpirl_mpc_call(mpc, kpirl_mpc_corrected_step, 15, arguments, 9, results);
+  judge(&mpc->work, 0);
+}
+
+real kpirl_mpc_shortened(const kpirl_mpc_workspace *work, real length) {
+  const real *before = work->iterate.y, *after = work->trial.y;
+  real most = BOUNDARY;
+  int i;
+  for (i = 0; i < ROWS; ++i) most = larger((before[i] - after[i]) / before[i], most);
+  return length * (most > BOUNDARY ? smaller(larger(BOUNDARY / most, (real)0.5), (real)0.95) : (real)0.5);
 }
 
 real kpirl_mpc_log_slacks(const real *y) {
@@ -211,9 +243,9 @@ void kpirl_mpc_try(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, real length
   kpirl_mpc_iterate *trial = &work->trial;
   real gap[NS] = {0}, off[KPIRL_MPC_ROOM(KPIRL_MPC_N_FIXED)] = {0}, g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)] = {0};
   real objective = 0;
-  const real *arguments[9], least = REMAINDER * smaller(1 - BOUNDARY, work->tau);
+  const real *arguments[9], least = REMAINDER * smaller(1 - BOUNDARY, work->step.tau);
   real *results[4];
-  int i, inside = 1;
+  int i, outside = 0;
   move_linearly(work, length);
   arguments[0] = at->point;
   arguments[1] = at->point + STATES;
@@ -234,9 +266,9 @@ void kpirl_mpc_try(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, real length
   for (i = 0; i < ROWS; ++i) {
     trial->y[i] = i < BOUNDS ? (1 - length) * (d->rows[i] + at->y[i]) - g[i] : larger(trial->y[i], -g[i]);
     *theta += fabs(g[i] + trial->y[i]);
-    inside = inside && trial->y[i] >= least * at->y[i];
+    outside = outside || trial->y[i] < least * at->y[i];
   }
-  *phi = inside ? objective - work->tau * kpirl_mpc_log_slacks(trial->y) : (real)INFINITY;
+  *phi = outside ? (real)INFINITY : objective - work->step.tau * kpirl_mpc_log_slacks(trial->y);
 }
 
 void kpirl_mpc_centre(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers) {

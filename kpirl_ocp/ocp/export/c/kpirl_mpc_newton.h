@@ -10,8 +10,11 @@
 /* Everything that a Newton step needs at the iterate, or without matrices what residuals need. */
 void kpirl_mpc_differentiate(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, int matrices);
 
-/* The Newton step at an iterate whose derivatives are finite. */
+/* The Newton step towards work.tau at an iterate whose derivatives are finite. */
 void kpirl_mpc_find_step(kpirl_mpc *mpc, kpirl_mpc_real regularisation);
+
+/* The same, towards a tau between least and most that it chooses, with Mehrotra's correction. */
+void kpirl_mpc_find_corrected_step(kpirl_mpc *mpc, kpirl_mpc_real least, kpirl_mpc_real most);
 
 /* work.trial: the point after a step of this length along the dynamics; its theta and phi. */
 void kpirl_mpc_try(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, kpirl_mpc_real length, kpirl_mpc_real *theta,
@@ -19,6 +22,10 @@ void kpirl_mpc_try(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, kpirl_mpc_r
 
 /* Slacks no smaller than what is left of the constraint, and multipliers near tau / y. */
 void kpirl_mpc_centre(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers);
+
+/* Half the length; or more, up to what would have kept the share 1 - BOUNDARY of slacks that shrank too much on the way to
+ * work.trial. */
+kpirl_mpc_real kpirl_mpc_shortened(const kpirl_mpc_workspace *work, kpirl_mpc_real length);
 
 /* sum of log y. */
 kpirl_mpc_real kpirl_mpc_log_slacks(const kpirl_mpc_real *y);

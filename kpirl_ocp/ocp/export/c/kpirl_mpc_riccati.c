@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: MIT
  *
- * The interior-point method: Newton steps until the first-order conditions hold, lowering tau on the way, along which a
- * filter accepts (Waechter and Biegler, 2006, sections 2.3 and 3.1); or a fixed number of full steps, the real-time
- * iteration (Diehl et al., 2005). Where pivots of the recursion are not positive, weight on the actions is added.
+ * The interior-point method: predictor-corrector steps (Mehrotra, 1992) until the first-order conditions hold, as long as
+ * a filter accepts (Waechter and Biegler, 2006, sections 2.3 and 3.1); or a fixed number of full Newton steps, the
+ * real-time iteration (Diehl et al., 2005). Where pivots of the recursion are not positive, weight on the actions is added.
  */
 #include "kpirl_mpc_filter.h"
 #include "kpirl_mpc_newton.h"
@@ -19,7 +19,6 @@ typedef kpirl_mpc_real real;
 
 static const real START = (real)0.3;      /* barrier of a cold start, relative to the gradient of the objective there */
 static const real WARM = (real)1e-6;      /* largest one of a warm start */
-static const real SOLVED = (real)30;      /* a barrier problem is solved when its residual is below this times tau / scale */
 static const real LARGE = (real)100;      /* multipliers above this count as large */
 static const real SHORTEST = (real)1e-10; /* step length below which a line search gives up */
 static const real TINY = (real)1e-14;     /* relative step below which rounding decides, so that it is taken as it is */
@@ -46,19 +45,7 @@ static real final_tau(const kpirl_mpc *mpc) {
  * the weakest of the active constraints would stay too far from its bound. */
 static int solved(const kpirl_mpc *mpc, kpirl_mpc_solution *scratch) {
   kpirl_mpc_residuals(mpc, mpc->settings.barrier, scratch);
-  return scratch->residual <= mpc->work.tolerance && scratch->complementarity <= 10 * final_tau(mpc);
-}
-
-/* Lower tau when its own problem is solved (Waechter and Biegler, eq. 7). */
-static void tighten(kpirl_mpc *mpc, kpirl_mpc_solution *scratch) {
-  kpirl_mpc_workspace *work = &mpc->work;
-  const real before = work->tau, final = final_tau(mpc);
-  while (work->tau > final) {
-    kpirl_mpc_residuals(mpc, work->tau, scratch);
-    if (!(scratch->residual <= SOLVED * work->tau / work->at.scale)) break;
-    work->tau = larger(final, smaller((real)0.2 * work->tau, work->tau * sqrt(work->tau)));
-  }
-  if (work->tau != before) kpirl_mpc_start_filter(&work->filter, work->at.violation);
+  return scratch->residual <= mpc->work.tolerance && scratch->complementarity <= 2 * final_tau(mpc);
 }
 
 /* The Newton step, with as much regularisation as the pivots ask for; 0 if none is enough. */
@@ -86,7 +73,7 @@ static real slope_of(const kpirl_mpc_workspace *work) {
   int i;
   for (i = 0; i < NS + NW; ++i) slope += work->at.cost_gradient[i] * change->point[i];
   for (i = 0; i < ROWS; ++i) barrier += change->y[i] / work->iterate.y[i];
-  return slope - work->tau * barrier;
+  return slope - work->step.tau * barrier;
 }
 
 /* Go to the trial point, or with `last` find out no more about it than its residuals. */
@@ -99,29 +86,45 @@ static void arrive(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, int last) {
   kpirl_mpc_differentiate(mpc, numbers, !last);
 }
 
-/* Move along a Newton step as the filter allows; shorten the step by regularisation if it never does. */
+/* Move by the longest length that the filter accepts, if there is one. */
+static int move_along(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers) {
+  kpirl_mpc_workspace *work = &mpc->work;
+  const kpirl_mpc_step *step = &work->step;
+  const int tiny = kpirl_mpc_largest(step->change.point + NS, NW) <=
+                   TINY * (1 + kpirl_mpc_largest(work->iterate.point + NS, NW));
+  const real slope = slope_of(work);
+  real length = step->primal_length;
+  kpirl_mpc_merit before, trial;
+  before.theta = work->at.violation;
+  before.phi = work->at.objective - step->tau * kpirl_mpc_log_slacks(work->iterate.y);
+  while (length >= SHORTEST) {
+    kpirl_mpc_try(mpc, numbers, length, &trial.theta, &trial.phi);
+    if ((tiny && isfinite(trial.phi)) || kpirl_mpc_accepts(&work->filter, before, slope, length, trial)) {
+      arrive(mpc, numbers, 0);
+      return 1;
+    }
+    length = isinf(trial.phi) ? kpirl_mpc_shortened(work, length) : length / 2;
+  }
+  return 0;
+}
+
+/* Move along the corrected step where it is one to a minimum; else along Newton steps, regularised. */
 static int search(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers) {
   kpirl_mpc_workspace *work = &mpc->work;
+  const real least = final_tau(mpc);
   real rho = 0;
   int attempt;
-  for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
-    kpirl_mpc_merit before, trial;
-    real length, slope;
-    int tiny;
-    if (!find_positive_step(mpc, rho)) return 0;
-    length = work->step.primal_length;
-    before.theta = work->at.violation;
-    before.phi = work->at.objective - work->tau * kpirl_mpc_log_slacks(work->iterate.y);
-    slope = slope_of(work);
-    tiny = kpirl_mpc_largest(work->step.change.point + NS, NW) <=
-           TINY * (1 + kpirl_mpc_largest(work->iterate.point + NS, NW));
-    for (; length >= SHORTEST; length /= 2) {
-      kpirl_mpc_try(mpc, numbers, length, &trial.theta, &trial.phi);
-      if ((tiny && isfinite(trial.phi)) || kpirl_mpc_accepts(&work->filter, before, slope, length, trial)) {
-        arrive(mpc, numbers, 0);
-        return 1;
-      }
+  kpirl_mpc_find_corrected_step(mpc, least, larger(work->tau, least));
+  if (work->step.positive) {
+    if (work->step.tau != work->tau) {
+      work->tau = work->step.tau;
+      kpirl_mpc_start_filter(&work->filter, work->at.violation);
     }
+    if (move_along(mpc, numbers)) return 1;
+  }
+  for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
+    if (!find_positive_step(mpc, rho)) return 0;
+    if (move_along(mpc, numbers)) return 1;
     rho = larger(100 * work->step.regularisation, (real)1e-4);
   }
   return 0;
@@ -139,7 +142,6 @@ static kpirl_mpc_status converge(kpirl_mpc *mpc, const kpirl_mpc_numbers *number
   kpirl_mpc_workspace *work = &mpc->work;
   for (;; ++work->iterations) {
     if (!kpirl_mpc_finite(mpc)) return KPIRL_MPC_NOT_FINITE;
-    tighten(mpc, scratch);
     if (solved(mpc, scratch)) return KPIRL_MPC_CONVERGED;
     if (work->iterations == mpc->settings.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
     if (kpirl_mpc_late(mpc)) return KPIRL_MPC_TIME_LIMIT;

@@ -31,7 +31,7 @@ typedef struct kpirl_mpc_step {
   kpirl_mpc_iterate change;
   kpirl_mpc_real pivots[KPIRL_MPC_HORIZON * KPIRL_MPC_N_ACTIONS];
   kpirl_mpc_real gains[KPIRL_MPC_N_ACTIONS * KPIRL_MPC_N_STATES * KPIRL_MPC_HORIZON]; /* du = .. + K ds */
-  kpirl_mpc_real primal_length, dual_length, regularisation;
+  kpirl_mpc_real tau, primal_length, dual_length, regularisation; /* tau: that it leads towards */
   int positive;
 } kpirl_mpc_step;
 
