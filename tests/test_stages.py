@@ -9,7 +9,7 @@ from problems import TABLE, integrator, network
 
 from kpirl_ocp.ocp import kkt_solves, stages
 from kpirl_ocp.ocp.calls import Call, call
-from kpirl_ocp.ocp.derivatives import DynamicsDerivatives
+from kpirl_ocp.ocp.derivatives import DynamicsDerivatives, Staged
 from kpirl_ocp.ocp.kkt import transcribe
 from kpirl_ocp.ocp.sensitivity import Instance, PrimalDual, linearise
 
@@ -63,9 +63,9 @@ def test_products_with_stage_matrices_are_those_with_derivatives_of_the_whole_pr
 def test_stage_functions_take_the_derivatives_that_a_problem_brings():
     case = network("tanh")
     given = DynamicsDerivatives.by_ad(case.problem.dynamics)
-    asked = [ca.MX.sym(f"x{i}", given.second.size1_in(i)) for i in range(4)]
-    *others, hessian = given.second(*asked)
-    marked = ca.Function("second", asked, [*others, hessian + 1])
+    asked = given.second.finish.mx_in()
+    *others, hessian = given.second.finish(*asked)
+    marked = Staged.by_stage(ca.Function("second", asked, [*others, hessian + 1]))
     problem = replace(case.problem, derivatives=replace(given, second=marked))
     instance, point = random_point(case)
     arguments = (*instance.at(point.w), point.costates, np.zeros(0))
@@ -145,13 +145,11 @@ def test_residuals_that_a_step_of_refinement_reports_are_those_of_the_system(nam
 
 def test_dynamics_that_depend_on_psi_keep_it_and_others_do_not_repeat_it():
     network_, pendulum_ = TABLE["tanh network"]().problem, TABLE["pendulum"]().problem
-    assert stages.without_psi(network_, network_.dynamics).size1_in(2) == 0
-    assert stages.without_psi(pendulum_, pendulum_.dynamics) is pendulum_.dynamics
+    assert stages.dynamics_alone(network_).size1_in(2) == 0
+    assert stages.dynamics_alone(pendulum_) is pendulum_.dynamics
     s, u, psi = (
         RNG.normal(size=network_.n_states),
         RNG.normal(size=network_.n_actions),
         RNG.normal(size=network_.n_parameters),
     )
-    np.testing.assert_array_equal(
-        stages.without_psi(network_, network_.dynamics)(s, u, []), network_.dynamics(s, u, psi)
-    )
+    np.testing.assert_array_equal(stages.dynamics_alone(network_)(s, u, []), network_.dynamics(s, u, psi))

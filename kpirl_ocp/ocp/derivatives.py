@@ -17,6 +17,29 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
+class Staged:
+    """A function of every stage, in two parts.
+
+    prepare: T -> a function of T stages side by side, for what is better computed for all at once; any number of
+        outputs with T columns.
+    finish: (one column of each) -> the outputs at one stage.
+    """
+
+    prepare: Callable[[int], ca.Function]
+    finish: ca.Function
+
+    @classmethod
+    def by_stage(cls, function: ca.Function) -> Staged:
+        """With nothing prepared."""
+
+        def prepare(steps: int) -> ca.Function:
+            inputs = [ca.MX.sym("x", function.size1_in(i), steps) for i in range(function.n_in())]
+            return ca.Function("prepare", inputs, inputs)
+
+        return cls(prepare, function)
+
+
+@dataclass(frozen=True, eq=False)
 class DynamicsDerivatives:
     """What solvers need to know about f beside its value.
 
@@ -24,7 +47,8 @@ class DynamicsDerivatives:
     vjp: (s, u, psi, lam) -> f_s^T lam (n_s,), f_u^T lam (n_u,), f_psi^T lam (n_psi,).
     jacobian: (s, u, psi) -> f_s (n_s, n_s), f_u (n_s, n_u).
     hessian: (s, u, psi, lam) -> second derivative of lam . f with respect to (s, u), (n_s + n_u, n_s + n_u).
-    first: (s, u, psi, lam) -> f, f_s^T lam, f_u^T lam, with what they share computed once.
+    first: T -> a function of T stages side by side, (s (n_s, T), u (n_u, T), psi (n_psi, T), lam (n_s, T)) -> f,
+        f_s^T lam, f_u^T lam, with what they share computed once. psi is (0, T) where f does not depend on it.
     second: (s, u, psi, lam) -> f, (f_s, f_u) and `hessian`, likewise.
     sweeps: (T, B) -> the passes along B trajectories, where something better than stage by stage is known.
     """
@@ -33,8 +57,8 @@ class DynamicsDerivatives:
     vjp: ca.Function
     jacobian: ca.Function
     hessian: ca.Function
-    first: ca.Function
-    second: ca.Function
+    first: Callable[[int], ca.Function]
+    second: Staged
     sweeps: Callable[[int, int], Sweeps] | None = None
 
     @classmethod
@@ -50,11 +74,30 @@ class DynamicsDerivatives:
         by_s, by_u = ca.jacobian(value, s), ca.jacobian(value, u)
         together = ca.cse([value, ca.horzcat(by_s, by_u), hessian])
         moved = ca.jtimes(value, s, ds) + ca.jtimes(value, u, du)
+        first = ca.Function("first", [s, u, psi, lam], ca.cse([value, *(ca.gradient(pairing, x) for x in (s, u))]))
+        second = ca.Function("second", [s, u, psi, lam], together)
+        if not depends_on_psi(dynamics):
+            first, second = without_psi(first), without_psi(second)
         return cls(
             jvp=ca.Function("jvp", [s, u, psi, ds, du], [moved]),
             vjp=ca.Function("vjp", [s, u, psi, lam], [ca.gradient(pairing, x) for x in (s, u, psi)]),
             jacobian=ca.Function("jacobian", [s, u, psi], [by_s, by_u]),
             hessian=ca.Function("hessian", [s, u, psi, lam], [hessian]),
-            first=ca.Function("first", [s, u, psi, lam], ca.cse([value, *(ca.gradient(pairing, x) for x in (s, u))])),
-            second=ca.Function("second", [s, u, psi, lam], together),
+            first=first.map,
+            second=Staged.by_stage(second),
         )
+
+
+def depends_on_psi(dynamics: ca.Function) -> bool:
+    """Does f(s, u, psi)?"""
+    return bool(dynamics.jac_sparsity(0, 2).nnz())
+
+
+def without_psi(function: ca.Function) -> ca.Function:
+    """A function (s, u, psi, ..) of dynamics that do not depend on psi, with an empty psi.
+
+    To repeat psi for every stage takes O(T^2) memory where psi has numbers for every step.
+    """
+    s, u, psi, *others = function.mx_in()
+    outputs = function.call([s, u, ca.MX.zeros(psi.shape), *others], True, False)
+    return ca.Function(function.name(), [s, u, ca.MX.sym("psi", 0), *others], outputs)

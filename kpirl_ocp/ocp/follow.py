@@ -15,7 +15,7 @@ import casadi as ca
 
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.stage_costs import TrajectoryCost
-from kpirl_ocp.ocp.stages import psi_by_stage, without_psi
+from kpirl_ocp.ocp.stages import dynamics_alone, psi_by_stage
 
 
 @lru_cache(maxsize=64)
@@ -44,7 +44,7 @@ def _stage(problem: OCP) -> ca.Function:
     """(s, target, u, K, d, psi) -> f(s, u') - d and u' = u + K (s - target)."""
     n_s, n_u = problem.n_states, problem.n_actions
     s, target, d = (ca.MX.sym(name, n_s) for name in ("s", "target", "d"))
-    dynamics = without_psi(problem, problem.dynamics)
+    dynamics = dynamics_alone(problem)
     u, K, psi = ca.MX.sym("u", n_u), ca.MX.sym("K", n_u, n_s), ca.MX.sym("psi", dynamics.size1_in(2))
     action = u + K @ (s - target)
     return ca.Function("follow_stage", [s, target, u, K, d, psi], [dynamics(s, action, psi) - d, action])

@@ -3,8 +3,8 @@
     h_0 = x,   a_l = W_l h_{l-1} + b_l,   h_l = sigma_l(a_l),   y = h_L
 
 Everything stays MX: expanded to scalars, a network of this kind is hundreds of thousands of instructions. AD would
-transpose constant weights at every call; here W and W^T are both constants, a Jacobian is one chain of matrix products
-and a Hessian one product W^T diag(.) W per layer.
+transpose constant weights at every call; here W and W^T are both constants and a Jacobian is one chain of matrix
+products. Hessians are in `kpirl_ocp.ocp.network_second`.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def push(mlp: MLP, slopes: Sequence[Slopes], dx: ca.MX, drive: ca.MX | None = No
     for weight, slope in zip(mlp.weights, slopes, strict=True):
         moved = ca.DM(weight) @ dx if drive is None or tangents else ca.mac(ca.DM(weight), dx, drive)
         tangents.append(moved)
-        dx = _times(slope.first, moved)
+        dx = times(slope.first, moved)
     return dx, tangents
 
 
@@ -134,7 +134,7 @@ def pull(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> tuple[ca.MX, ca.
     """J^T adjoint (n_in, B) for adjoint (n_out, B), and the adjoint (n_1, B) of a_1 on the way."""
     inner = adjoint
     for weight, slope in zip(reversed(mlp.weights), reversed(slopes), strict=True):
-        inner = _times(slope.first, adjoint)
+        inner = times(slope.first, adjoint)
         adjoint = ca.DM(weight.T) @ inner
     return adjoint, inner
 
@@ -152,10 +152,10 @@ def pull_tangent(
     _, tangents = push(mlp, slopes, dx, drive)
     inner, columns = dadjoint, adjoint.size2()
     for weight, slope, tangent in zip(reversed(mlp.weights), reversed(slopes), reversed(tangents), strict=True):
-        inner = _times(slope.first, dadjoint)
+        inner = times(slope.first, dadjoint)
         if slope.second is not None:
             inner = inner + slope.second * tangent * adjoint
-        both = ca.DM(weight.T) @ ca.horzcat(_times(slope.first, adjoint), inner)
+        both = ca.DM(weight.T) @ ca.horzcat(times(slope.first, adjoint), inner)
         adjoint, dadjoint = both[:, :columns], both[:, columns:]
     return dadjoint, inner
 
@@ -164,36 +164,8 @@ def jacobian(mlp: MLP, slopes: Sequence[Slopes]) -> ca.MX:
     """dy/dx (n_out, n_in) at one x, from the output's side: J^T = W_1^T diag(s_1) W_2^T ... W_L^T diag(s_L)."""
     columns = ca.DM.eye(mlp.n_out)
     for weight, slope in zip(reversed(mlp.weights), reversed(slopes), strict=True):
-        columns = ca.DM(weight.T) @ _scale_rows(slope.first, columns)
+        columns = ca.DM(weight.T) @ scale_rows(slope.first, columns)
     return columns.T
-
-
-def hessian(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> ca.MX:
-    """Second derivative (n_in, n_in) of adjoint . y at one x; see `second`."""
-    return second(mlp, slopes, adjoint)[1]
-
-
-def second(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """dy/dx (n_out, n_in), and d^2 (adjoint . y)/dx^2 = sum_l A_l^T diag(s_l'' eta_l) A_l with A_l = da_l/dx, at one x.
-
-    eta_l is the adjoint of h_l. The Jacobian is the last A_l, scaled. Layers without curvature add nothing; if no layer
-    has any, the Hessian is structurally zero and the Jacobian comes from the output's side.
-    """
-    total = ca.MX(mlp.n_in, mlp.n_in)
-    if not curved(slopes):
-        return jacobian(mlp, slopes), total
-    etas = [adjoint]
-    for weight, slope in zip(mlp.weights[:0:-1], slopes[:0:-1], strict=True):
-        etas.insert(0, ca.DM(weight.T) @ _times(slope.first, etas[0]))
-    rows = ca.MX(ca.DM(mlp.weights[0]))  # A_l
-    transposed = ca.MX(ca.DM(mlp.weights[0].T))
-    for index, (slope, eta) in enumerate(zip(slopes, etas, strict=True)):
-        if index > 0:
-            rows = ca.DM(mlp.weights[index]) @ _scale_rows(slopes[index - 1].first, rows)
-            transposed = rows.T
-        if slope.second is not None:
-            total = ca.mac(transposed, _scale_rows(slope.second * eta, rows), ca.densify(total))
-    return _scale_rows(slopes[-1].first, rows), total
 
 
 def curved(slopes: Sequence[Slopes]) -> bool:
@@ -216,12 +188,13 @@ def from_arrays(mlp: MLP, kept: Sequence[ca.MX]) -> list[Slopes]:
     return slopes
 
 
-def _times(factor: ca.MX | None, x: ca.MX) -> ca.MX:
+def times(factor: ca.MX | None, x: ca.MX) -> ca.MX:
+    """The product element by element; None counts as ones."""
     return x if factor is None else factor * x
 
 
-def _scale_rows(factor: ca.MX | None, matrix: ca.MX) -> ca.MX:
-    """diag(factor) matrix."""
+def scale_rows(factor: ca.MX | None, matrix: ca.MX) -> ca.MX:
+    """diag(factor) matrix; None counts as ones."""
     return matrix if factor is None else ca.repmat(factor, 1, matrix.size2()) * matrix
 
 

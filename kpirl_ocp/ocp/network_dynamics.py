@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.derivatives import DynamicsDerivatives
-from kpirl_ocp.ocp.network import MLP, hessian, jacobian, pull, push, second
+from kpirl_ocp.ocp.activations import Slopes
+from kpirl_ocp.ocp.derivatives import DynamicsDerivatives, Staged
+from kpirl_ocp.ocp.network import MLP, jacobian, pull, push
+from kpirl_ocp.ocp.network_second import hessian, prepare, second
 from kpirl_ocp.types import Array
 
 
@@ -61,33 +63,72 @@ class NetworkDynamics:
         """f(s, u, psi) -> s_next; psi (n_parameters,) belongs to the cost and is not used."""
         s, u, psi = self._symbols(n_parameters)
         y = self.mlp(ca.vertcat(s, u))
-        return ca.Function("dynamics", [s, u, psi], [self._shift(s) + ca.vertcat(y, self._displacement(u))])
+        return ca.Function("dynamics", [s, u, psi], [self._next(s, y, u)])
 
     def derivatives(self, n_parameters: int) -> DynamicsDerivatives:
         """The derivatives of `function`, arranged by hand."""
         s, u, psi = self._symbols(n_parameters)
         ds, du, lam = (ca.MX.sym(name, like.numel()) for name, like in (("ds", s), ("du", u), ("lam", s)))
-        n_z, n_s = self.n_z, self.n_states
-        theta = slice(n_z, n_z + self.n_joints)
-        y, slopes = self.mlp.linearise(ca.vertcat(s, u))
+        _, slopes = self.mlp.linearise(ca.vertcat(s, u))
         moved, _ = push(self.mlp, slopes, ca.vertcat(ds, du))
-        pulled, _ = pull(self.mlp, slopes, lam[:n_z])
-        rows = ca.vertcat(jacobian(self.mlp, slopes), ca.MX(2 * self.n_joints, self.mlp.n_in))
-        linear_s = ca.DM(self._shift(ca.DM.eye(n_s)))
-        linear_u = ca.vertcat(ca.DM(n_z, self.n_joints), self._displacement(ca.DM.eye(self.n_joints)))
-        value = self._shift(s) + ca.vertcat(y, self._displacement(u))
-        by_s, by_u = self._shift(lam) + pulled[:n_s], lam[theta] + pulled[n_s:]
-        slope, curvature = second(self.mlp, slopes, lam[:n_z])
-        F = ca.MX(ca.densify(ca.horzcat(linear_s, linear_u)))
-        F[:n_z, :] = slope + ca.horzcat(linear_s, linear_u)[:n_z, :]
+        by_s, by_u = self._pull(slopes, lam)
+        J = jacobian(self.mlp, slopes)
+        F = ca.vertcat(J + self._linear[: self.n_z, :], self._linear[self.n_z :, :])
         return DynamicsDerivatives(
-            jvp=ca.Function("jvp", [s, u, psi, ds, du], [self._shift(ds) + ca.vertcat(moved, self._displacement(du))]),
+            jvp=ca.Function("jvp", [s, u, psi, ds, du], [self._next(ds, moved, du)]),
             vjp=ca.Function("vjp", [s, u, psi, lam], [by_s, by_u, ca.MX.zeros(n_parameters)]),
-            jacobian=ca.Function("jacobian", [s, u, psi], [rows[:, :n_s] + linear_s, rows[:, n_s:] + linear_u]),
-            hessian=ca.Function("hessian", [s, u, psi, lam], [hessian(self.mlp, slopes, lam[:n_z])]),
-            first=ca.Function("first", [s, u, psi, lam], [value, by_s, by_u]),
-            second=ca.Function("second", [s, u, psi, lam], [value, F, curvature]),
+            jacobian=ca.Function("jacobian", [s, u, psi], [F[:, : self.n_states], F[:, self.n_states :]]),
+            hessian=ca.Function("hessian", [s, u, psi, lam], [hessian(self.mlp, slopes, lam[: self.n_z])]),
+            first=self._first,
+            second=Staged(self._prepare, self._second()),
         )
+
+    def _first(self, steps: int) -> ca.Function:
+        """See `DynamicsDerivatives.first`."""
+        s, u, psi, lam = self._columns(steps)
+        y, slopes = self.mlp.linearise(ca.vertcat(s, u))
+        return ca.Function("first", [s, u, psi, lam], [self._next(s, y, u), *self._pull(slopes, lam)])
+
+    def _prepare(self, steps: int) -> ca.Function:
+        """(s, u, no psi, lam) of all stages -> f, and what `network_second.second` takes."""
+        s, u, psi, lam = self._columns(steps)
+        y, slopes = self.mlp.linearise(ca.vertcat(s, u))
+        parts = prepare(self.mlp, slopes, lam[: self.n_z, :])
+        return ca.Function("prepare", [s, u, psi, lam], [self._next(s, y, u), *(x for x in parts if x is not None)])
+
+    def _second(self) -> ca.Function:
+        """f and those parts at one stage -> f, (f_s, f_u) and the Hessian."""
+        _, slopes = self.mlp.linearise(ca.MX.sym("x", self.mlp.n_in))
+        parts = prepare(self.mlp, slopes, ca.MX.sym("lam", self.n_z))
+        value = ca.MX.sym("f", self.n_states)
+        symbols = [None if part is None else ca.MX.sym("part", part.size1()) for part in parts]
+        J, H = second(self.mlp, symbols)
+        F = ca.MX(ca.densify(self._linear))
+        F[: self.n_z, :] = J + self._linear[: self.n_z, :]
+        return ca.Function("second", [value, *(x for x in symbols if x is not None)], [value, F, H])
+
+    def _columns(self, steps: int) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
+        """s, u, no psi and lam of all stages."""
+        sizes = {"s": self.n_states, "u": self.n_joints, "psi": 0, "lam": self.n_states}
+        s, u, psi, lam = (ca.MX.sym(name, size, steps) for name, size in sizes.items())
+        return s, u, psi, lam
+
+    def _next(self, s: ca.MX, y: ca.MX, u: ca.MX) -> ca.MX:
+        """The next state for the output y of the network, or its change for changes."""
+        return self._shift(s) + ca.vertcat(y, self._displacement(u))
+
+    def _pull(self, slopes: list[Slopes], lam: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """f_s^T lam (n_s, B) and f_u^T lam (n_u, B)."""
+        pulled, _ = pull(self.mlp, slopes, lam[: self.n_z, :])
+        theta = lam[self.n_z : self.n_z + self.n_joints, :]
+        return self._shift(lam) + pulled[: self.n_states, :], theta + pulled[self.n_states :, :]
+
+    @property
+    def _linear(self) -> ca.DM:
+        """(f_s, f_u) without the network."""
+        by_s = ca.DM(self._shift(ca.DM.eye(self.n_states)))
+        by_u = ca.vertcat(ca.DM(self.n_z, self.n_joints), self._displacement(ca.DM.eye(self.n_joints)))
+        return ca.horzcat(by_s, by_u)
 
     def _symbols(self, n_parameters: int) -> tuple[ca.MX, ca.MX, ca.MX]:
         return (

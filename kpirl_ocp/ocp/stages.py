@@ -17,6 +17,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from kpirl_ocp.ocp.derivatives import depends_on_psi, without_psi
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.stage_costs import TrajectoryCost, stage_costs
 from kpirl_ocp.types import Array
@@ -27,9 +28,7 @@ def values(problem: OCP) -> ca.Function:
     """(S (n_s, T+1), U (n_u, T), psi, c) -> J, defects f - s_next (n_s, T), path constraints h (n_h, T)."""
     (states, actions, psi, context), _ = point, _ = _symbols(problem)
     cost = TrajectoryCost(problem, 1)
-    arrived = without_psi(problem, problem.dynamics).map(problem.horizon)(
-        states[:, :-1], actions, psi_by_stage(problem, psi)
-    )
+    arrived = dynamics_alone(problem).map(problem.horizon)(states[:, :-1], actions, psi_by_stage(problem, psi))
     total = cost.first(states, actions, cost.coefficients(psi, context))[0]
     outputs = [total, arrived - states[:, 1:], problem.path(*point)]
     return ca.Function("stage_values", point, [ca.densify(x) for x in outputs])
@@ -43,7 +42,7 @@ def first(problem: OCP) -> ca.Function:
     cost = TrajectoryCost(problem, 1)
     total, by_states, by_actions = cost.first(states, actions, cost.coefficients(psi, context))
     through = states[:, :-1], actions, psi_by_stage(problem, psi), costates
-    arrived, *pulled = without_psi(problem, problem.dynamics_derivatives.first).map(steps)(*through)
+    arrived, *pulled = problem.dynamics_derivatives.first(steps)(*through)
     pulled, path = ca.vertcat(*pulled), problem.path(*point)
     if problem.path_constraint is not None:
         pulled += _stage_gradient(problem.path_constraint).map(steps)(*_arguments(problem, *point), forces)
@@ -59,13 +58,13 @@ def second(problem: OCP) -> ca.Function:
     point, dual = _symbols(problem)
     (states, actions, psi, context), (costates, forces), steps = point, dual, problem.horizon
     theta = TrajectoryCost(problem, 1).coefficients(psi, context)
-    arguments = _arguments(problem, *point)
-    if problem.path_constraint is None:
-        arguments = [states[:, :-1], actions, psi_by_stage(problem, psi)]
-    _, final = stage_costs(problem)
+    through = [states[:, :-1], actions, psi_by_stage(problem, psi), costates]
+    prepared = problem.dynamics_derivatives.second.prepare(steps).call(through, True, False)
+    arguments = _arguments(problem, *point) if problem.path_constraint is not None else through[:2]
     value, slope, arrived, path, pulled, F, G, H = _stage_second(problem).map(steps)(
-        *arguments, theta.stages, costates, forces
+        *arguments, theta.stages, costates, forces, *prepared
     )
+    _, final = stage_costs(problem)
     last, last_slope, H_last = final.hessian(states[:, steps], ca.MX(0, 1), theta.last)
     lagrangian = _lagrangian(problem, slope, last_slope, pulled, costates)
     outputs = [ca.sum2(value) + last, arrived - states[:, 1:], path, slope, last_slope, *lagrangian, F, G, H, H_last]
@@ -105,8 +104,13 @@ def _lagrangian(problem: OCP, slope: ca.MX, last: ca.MX, pulled: ca.MX, costates
 
 
 def psi_by_stage(problem: OCP, psi: ca.MX) -> ca.MX:
-    """psi for every stage, as `without_psi` takes it."""
-    return _repeat(problem, psi) if depends_on_psi(problem) else ca.MX(0, problem.horizon)
+    """psi for every stage; (0, T) if the dynamics do not depend on it."""
+    return _repeat(problem, psi) if depends_on_psi(problem.dynamics) else ca.MX(0, problem.horizon)
+
+
+def dynamics_alone(problem: OCP) -> ca.Function:
+    """f(s, u, psi), psi as in `psi_by_stage`."""
+    return problem.dynamics if depends_on_psi(problem.dynamics) else without_psi(problem.dynamics)
 
 
 def _repeat(problem: OCP, value: ca.MX) -> ca.MX:
@@ -114,22 +118,19 @@ def _repeat(problem: OCP, value: ca.MX) -> ca.MX:
 
 
 def _stage_second(problem: OCP) -> ca.Function:
-    """(s, u, psi, c, d, theta, lambda, mu) -> l, its gradient, f, h, F' lambda + G' mu, F, G, H of one stage.
+    """(s, u, psi, c, d, theta, lambda, mu, prepared ..) -> l, its gradient, f, h, F' lambda + G' mu, F, G, H.
 
-    Without path constraints (s, u, psi, theta, lambda, mu), where psi is empty if the dynamics do not depend on it.
+    Of one stage; without path constraints (s, u, theta, ..).
     """
     path, (running, _) = problem.path_constraint, stage_costs(problem)
-    derivatives = problem.dynamics_derivatives.second
-    if path is None:
-        derivatives = without_psi(problem, derivatives)
-    sizes = [problem.stage_cost.size1_in(i) for i in range(5)]
-    if path is None:
-        sizes = [*sizes[:2], derivatives.size1_in(2)]
-    point = [ca.MX.sym(name, size) for name, size in zip(("s", "u", "psi", "c", "d"), sizes, strict=False)]
+    names = ("s", "u", "psi", "c", "d") if path is not None else ("s", "u")
+    point = [ca.MX.sym(name, problem.stage_cost.size1_in(i)) for i, name in enumerate(names)]
     theta = ca.MX.sym("theta", running.hessian.size1_in(2))
     costate, force = ca.MX.sym("lambda", problem.n_states), ca.MX.sym("mu", problem.n_path)
+    finish = problem.dynamics_derivatives.second.finish
+    prepared = [ca.MX.sym("prepared", finish.size1_in(i)) for i in range(finish.n_in())]
     value, slope, curvature = running.hessian(*point[:2], theta)
-    arrived, F, H = derivatives.call([*point[:3], costate], True, False)
+    arrived, F, H = finish.call(prepared, True, False)
     F, H = ca.densify(F), _plus_sparse(H, curvature)
     pulled = (costate.T @ F).T
     G, h = ca.MX(0, problem.n_states + problem.n_actions), ca.MX(0, 1)
@@ -137,24 +138,7 @@ def _stage_second(problem: OCP) -> ca.Function:
         h, G = path(*point), ca.densify(_stage_jacobian(path)(*point))
         H, pulled = H + _stage_hessian(path)(*point, force), pulled + (force.T @ G).T
     outputs = [ca.densify(x) for x in (value, slope, arrived, h, pulled, F, G, H)]
-    return ca.Function("stage_second", [*point, theta, costate, force], outputs)
-
-
-def without_psi(problem: OCP, function: ca.Function) -> ca.Function:
-    """A function (s, u, psi, ..) of the dynamics with an empty psi, if the dynamics do not depend on psi.
-
-    Otherwise itself. To repeat psi for every stage takes O(T^2) memory where psi has numbers for every step.
-    """
-    if depends_on_psi(problem):
-        return function
-    s, u, psi, *others = function.mx_in()
-    outputs = function.call([s, u, ca.MX.zeros(psi.shape), *others], True, False)
-    return ca.Function(function.name(), [s, u, ca.MX.sym("psi", 0), *others], outputs)
-
-
-def depends_on_psi(problem: OCP) -> bool:
-    """Do the dynamics?"""
-    return bool(problem.dynamics.jac_sparsity(0, 2).nnz())
+    return ca.Function("stage_second", [*point, theta, costate, force, *prepared], outputs)
 
 
 def _plus_sparse(dense: ca.MX, sparse: ca.MX) -> ca.MX:
