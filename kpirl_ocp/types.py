@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -13,6 +14,11 @@ from kpirl_ocp.errors import ProblemError, SolveError
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
+
+
+def max_or_nan(*numbers: float) -> float:
+    """The largest number; NaN if there is one."""
+    return math.nan if any(map(math.isnan, numbers)) else max(numbers)
 
 
 @dataclass(frozen=True)
@@ -105,9 +111,8 @@ class KKTResiduals:
     @property
     def worst(self) -> float:
         """Feasibility, or the largest other residual over `scale`; NaN if any of them is."""
-        with np.errstate(invalid="ignore"):  # infinity over infinity is NaN, which is the answer
-            duals = np.array([self.stationarity, self.complementarity, self.sign]) / self.scale
-        return float(np.max(np.append(duals, self.feasibility)))
+        duals = (self.stationarity, self.complementarity, self.sign)
+        return max_or_nan(self.feasibility, *(float(dual) / self.scale for dual in duals))
 
 
 @dataclass(frozen=True)

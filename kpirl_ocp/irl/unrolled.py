@@ -151,7 +151,7 @@ def sweep(
 def _result(problem: OCP, solver: GradientDescent, last: int, output: Array) -> HypergradientResult:
     """From one column of `unrolled_function`."""
     value, remainder, kink, initial = output[:4].tolist()
-    gradient, point = np.split(output[4:], [problem.n_parameters])
+    gradient, point = output[4 : 4 + problem.n_parameters], output[4 + problem.n_parameters :]
     solution = finish(problem, solver, initial, point)
     certificate = UnrolledCertificate(
         solution=solution,

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate
 
 import casadi as ca
 import numpy as np
@@ -20,7 +21,7 @@ from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.reduced_cost import Linearisation, ReducedCost
 from kpirl_ocp.ocp.solver import Guess, guess_actions
 from kpirl_ocp.ocp.stage_costs import Coefficients
-from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
+from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory, max_or_nan
 
 
 @dataclass(frozen=True)
@@ -161,12 +162,14 @@ def _descent(problem: OCP, solver: GradientDescent) -> ca.Function:
 def finish(problem: OCP, solver: GradientDescent, initial_cost: float, point: Array) -> Solution:
     """The audited solution from the cost of the guess and the output of `terminal_point`."""
     steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
-    ends = np.cumsum([(steps + 1) * n_s, steps * n_u, steps * n_u, steps * n_s])
-    states, actions, slope, costates, value = np.split(point, ends)
-    trajectory = Trajectory(states.reshape(steps + 1, n_s), actions.reshape(steps, n_u))
-    costates, slope, objective = costates.reshape(steps, n_s), slope.reshape(steps, n_u), float(value[0])
+    lengths = ((steps + 1) * n_s, steps * n_u, steps * n_u, steps * n_s)
+    states, actions, slope, costates = (
+        point[end - length : end].reshape(-1, columns)
+        for length, end, columns in zip(lengths, accumulate(lengths), (n_s, n_u, n_u, n_s), strict=True)
+    )
+    trajectory, objective = Trajectory(states, actions), float(point[-1])
     pushing = _bound_multipliers(problem, trajectory.actions, slope)
-    scale = float(np.max([1.0, largest(slope), largest(costates)]))
+    scale = max_or_nan(1.0, largest(slope), largest(costates))
     residuals = KKTResiduals(largest(slope + pushing), 0.0, 0.0, 0.0, scale)
     multipliers = Multipliers(
         dynamics=costates,
@@ -180,6 +183,8 @@ def finish(problem: OCP, solver: GradientDescent, initial_cost: float, point: Ar
 
 def _bound_multipliers(problem: OCP, actions: Array, slope: Array) -> Array:
     """nu = -slope where an action lies on a bound and the slope pushes it outwards, else 0; (T, n_u)."""
+    if not problem.has_action_bounds:
+        return np.zeros(slope.shape)
     lower, upper = (np.asarray(bound, float) for bound in problem.action_bounds)
     outwards = ((actions >= upper) & (slope < 0)) | ((actions <= lower) & (slope > 0))
     return np.where(outwards, -slope, 0.0)

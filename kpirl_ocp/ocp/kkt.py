@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.types import Array, Indices, KKTResiduals, Mask, Multipliers, Trajectory
+from kpirl_ocp.types import Array, Indices, KKTResiduals, Mask, Multipliers, Trajectory, max_or_nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +177,7 @@ def audit(
         feasibility=largest(np.concatenate([defects, np.minimum(rows.slack, 0.0)])),
         complementarity=largest((forces * rows.slack - barrier)[unequal]),
         sign=largest(np.minimum(forces, 0.0)[unequal]),
-        scale=float(np.max([1.0, largest(cost_gradient), largest(lam), largest(mu)])),
+        scale=max_or_nan(1.0, largest(cost_gradient), largest(lam), largest(mu)),
     )
 
 

@@ -13,7 +13,7 @@ from kpirl_ocp.ocp.interior_point import BOUNDARY, CENTRE, Rows, corrected_step,
 from kpirl_ocp.ocp.kkt import largest
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.stages import by_time, first, second, values
-from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Trajectory
+from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Trajectory, max_or_nan
 
 _PUSH = 1e-2  # how far a cold start is moved inside its bounds, relative to their size and distance
 _REMAINDER = 0.1  # a step along the dynamics may end this much closer to the boundary than its linearisation
@@ -114,7 +114,7 @@ class Derivatives:
         """What the residuals of stationarity and complementarity are relative to, as in `KKTResiduals`."""
         it = self.iterate
         sizes = map(largest, (self.cost_gradient[len(self.gap) :], it.costates, it.z[self.n_bounds :]))
-        return float(np.max([1.0, *sizes]))
+        return max_or_nan(1.0, *sizes)
 
     def merit(self, tau: float) -> tuple[float, float]:
         """theta, and phi = J - tau sum log y."""
