@@ -88,9 +88,12 @@ def apprenticeship(
 
 
 def features(observations: Array, demonstration: Demonstration, discount: float = 1.0) -> Array:
-    """phi (n_z,) of observations (T+1, n_z): discounted squared distances to the goal, summed over t = 1..T."""
-    errors = (observations[1:] - demonstration.context) ** 2
-    return discount ** np.arange(1, len(observations)) @ errors
+    """phi (n_z,) of observations (T+1, n_z): discounted squared distances to the goal, summed over t = 1..T.
+
+    The same observations have the same features to the last bit, however they lie in memory.
+    """
+    errors = np.ascontiguousarray(observations[1:] - demonstration.context) ** 2
+    return (discount ** np.arange(1, len(observations))[:, None] * errors).sum(axis=0)
 
 
 def max_margin(differences: Array) -> tuple[Array, float]:

@@ -20,10 +20,10 @@ from kpirl_ocp.ocp.kkt import largest
 from kpirl_ocp.ocp.newton import Derivatives, Iterate, Newton, Step, shortened
 from kpirl_ocp.ocp.problem import OCP
 from kpirl_ocp.ocp.solver import Guess
-from kpirl_ocp.types import Array, KKTResiduals, Solution, Status
+from kpirl_ocp.types import Array, KKTResiduals, Solution, Status, Trajectory
 
 _START = 0.3  # barrier parameter of a cold start, relative to the gradient of the objective there
-_WARM = 1e-6  # largest one of a warm start
+_WARM = 1e-3  # largest one of a warm start
 _LARGE = 100.0  # multipliers above this count as large, as in Ipopt
 _SHORTEST = 1e-10  # step length below which a line search gives up
 _TINY = 1e-14  # relative step below which rounding decides, so that the step is taken as it is
@@ -34,6 +34,8 @@ _ATTEMPTS = 6  # line searches at one iterate, each with a stronger regularisati
 @dataclass(frozen=True)
 class Riccati:
     """Structure-exploiting interior-point solver; bounds and path constraints; warm start from a `Solution`.
+
+    A warm start that gets stuck begins again, cold, from the guess's trajectory.
 
     tolerance: on `KKTResiduals.worst`.
     max_iterations: before it gives up.
@@ -72,16 +74,26 @@ class Riccati:
     def solve_in_python(self, problem: OCP, s0: Array, psi: Array, context: Array, guess: Guess = None) -> Solution:
         """The same, one numpy array after the other; only derivatives and Newton steps are compiled functions."""
         newton = Newton(problem, s0, psi, context)
-        if isinstance(guess, Solution):
-            tau = self.barrier or self._warm_barrier(newton, guess)
-            iterate = newton.resume(guess, tau)
-        else:
-            iterate = newton.start(guess)
-            tau = self.barrier or _START * newton.differentiate(iterate, matrices=False).scale
-            iterate = replace(iterate, z=tau / iterate.y)
-        run = _Run(self, newton, iterate, tau)
-        status = run.converge() if self.steps is None else run.advance(self.steps)
+        run = _Run(self, newton)
+        run.begin(*(self._warm(newton, guess) if isinstance(guess, Solution) else self._cold(newton, guess)))
+        if self.steps is not None:
+            return run.solution(run.advance(self.steps))
+        status = run.converge()
+        if isinstance(guess, Solution) and status in (Status.STALLED, Status.INFEASIBLE):
+            run.begin(*self._cold(newton, guess.trajectory))
+            status = run.converge()
         return run.solution(status)
+
+    def _cold(self, newton: Newton, guess: Trajectory | None) -> tuple[Iterate, float]:
+        """Iterate and tau for a start without multipliers."""
+        iterate = newton.start(guess)
+        tau = self.barrier or _START * newton.differentiate(iterate, matrices=False).scale
+        return replace(iterate, z=tau / iterate.y), tau
+
+    def _warm(self, newton: Newton, guess: Solution) -> tuple[Iterate, float]:
+        """Iterate and tau for a start with multipliers."""
+        tau = self.barrier or self._warm_barrier(newton, guess)
+        return newton.resume(guess, tau), tau
 
     def _warm_barrier(self, newton: Newton, guess: Solution) -> float:
         """As small as the guess is good, so that a solution stays one; at most `_WARM`, so that a guess counts."""
@@ -93,15 +105,18 @@ class Riccati:
 class _Run:
     """One solve: where it is, and how it got there."""
 
-    def __init__(self, solver: Riccati, newton: Newton, iterate: Iterate, tau: float) -> None:
-        self.solver, self.newton, self.iterate = solver, newton, iterate
-        self.tau = tau
+    def __init__(self, solver: Riccati, newton: Newton) -> None:
+        self.solver, self.newton = solver, newton
+        self.iterations = 0
         self.tolerance = solver.tolerance
         if solver.barrier > 0:  # the tolerance bounds multiplier * slack - tau: it has to be small beside tau
             self.tolerance = min(solver.tolerance, max(1e-6 * solver.barrier, 1e-13))
+
+    def begin(self, iterate: Iterate, tau: float) -> None:
+        """Go on from here; iterations count on."""
+        self.iterate, self.tau = iterate, tau
         self.regularisation = 0.0  # the last one that was needed
-        self.iterations = 0
-        self.at: Derivatives = newton.differentiate(iterate)
+        self.at: Derivatives = self.newton.differentiate(iterate)
         self.filter = Filter.starting_at(self.at.violation)
 
     def converge(self) -> Status:

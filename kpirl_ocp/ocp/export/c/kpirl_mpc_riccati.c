@@ -18,7 +18,7 @@ enum { ROWS = KPIRL_MPC_N_ROWS, FIXED = KPIRL_MPC_N_FIXED };
 typedef kpirl_mpc_real real;
 
 static const real START = (real)0.3;      /* barrier of a cold start, relative to the gradient of the objective there */
-static const real WARM = (real)1e-6;      /* largest one of a warm start */
+static const real WARM = (real)1e-3;      /* largest one of a warm start */
 static const real LARGE = (real)100;      /* multipliers above this count as large */
 static const real SHORTEST = (real)1e-10; /* step length below which a line search gives up */
 static const real TINY = (real)1e-14;     /* relative step below which rounding decides, so that it is taken as it is */
@@ -182,15 +182,13 @@ static real warm_barrier(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const
   return isfinite(scratch->residual) ? smaller(larger(scratch->residual, final), WARM) : WARM;
 }
 
-void kpirl_mpc_run(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess,
-                   kpirl_mpc_solution *solution) {
+/* The iterate, its derivatives and a new filter; warm: with the multipliers of the guess. */
+static void begin(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess, int warm) {
   kpirl_mpc_workspace *work = &mpc->work;
   const real barrier = mpc->settings.barrier;
-  kpirl_mpc_solution *scratch = &work->scratch; /* its residuals alone */
   int i;
-  kpirl_mpc_sort_bounds(mpc);
-  if (guess && guess->dynamics) {
-    work->tau = barrier > 0 ? barrier : warm_barrier(mpc, numbers, guess, scratch);
+  if (warm) {
+    work->tau = barrier > 0 ? barrier : warm_barrier(mpc, numbers, guess, &work->scratch);
     kpirl_mpc_warm_start(mpc, numbers, guess, work->tau);
   } else {
     kpirl_mpc_start(mpc, numbers, guess);
@@ -198,13 +196,33 @@ void kpirl_mpc_run(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl
     work->tau = barrier > 0 ? barrier : START * work->at.scale;
     for (i = 0; i < ROWS; ++i) work->iterate.z[i] = work->tau / work->iterate.y[i];
   }
-  work->tolerance = mpc->settings.tolerance;
-  if (barrier > 0) work->tolerance = smaller(work->tolerance, larger((real)1e-6 * barrier, (real)1e-13));
   work->regularisation = 0;
-  work->iterations = 0;
   kpirl_mpc_differentiate(mpc, numbers, 1);
   kpirl_mpc_start_filter(&work->filter, work->at.violation);
-  solution->status = mpc->settings.steps ? advance(mpc, numbers, scratch) : converge(mpc, numbers, scratch);
+}
+
+/* A warm start that gets stuck begins again, cold, from the guess's trajectory. */
+static kpirl_mpc_status plan(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess) {
+  kpirl_mpc_solution *scratch = &mpc->work.scratch; /* its residuals alone */
+  const int warm = guess && guess->dynamics;
+  kpirl_mpc_status status;
+  begin(mpc, numbers, guess, warm);
+  if (mpc->settings.steps) return advance(mpc, numbers, scratch);
+  status = converge(mpc, numbers, scratch);
+  if (!warm || (status != KPIRL_MPC_STALLED && status != KPIRL_MPC_INFEASIBLE)) return status;
+  begin(mpc, numbers, guess, 0);
+  return converge(mpc, numbers, scratch);
+}
+
+void kpirl_mpc_run(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess,
+                   kpirl_mpc_solution *solution) {
+  kpirl_mpc_workspace *work = &mpc->work;
+  const real barrier = mpc->settings.barrier;
+  kpirl_mpc_sort_bounds(mpc);
+  work->tolerance = mpc->settings.tolerance;
+  if (barrier > 0) work->tolerance = smaller(work->tolerance, larger((real)1e-6 * barrier, (real)1e-13));
+  work->iterations = 0;
+  solution->status = plan(mpc, numbers, guess);
   solution->iterations = work->iterations;
   kpirl_mpc_residuals(mpc, barrier, solution);
   kpirl_mpc_write(mpc, solution);
