@@ -16,6 +16,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp import native
 from kpirl_ocp.ocp.export.resident import _resident, resident
 from kpirl_ocp.ocp.kkt import audit
+from kpirl_ocp.ocp.riccati import _Run
 
 SOLVERS = {"riccati": (Riccati(), 1e-8, 1e-6), "fatrop": (Fatrop(), 1e-6, 1e-4)}  # solver, objective, multipliers
 
@@ -65,6 +66,16 @@ def test_solution_is_its_own_warm_start(name):
     assert again.status is Status.CONVERGED
     assert again.iterations <= 5
     np.testing.assert_allclose(again.objective, solution(name).objective, rtol=1e-8)
+
+
+def test_warm_start_that_gets_stuck_begins_again_from_its_trajectory(monkeypatch):
+    problem, *numbers = given("swing-up")
+    real, stuck = _Run.converge, iter([Status.STALLED])
+    monkeypatch.setattr(_Run, "converge", lambda run: next(stuck, None) or real(run))
+    found = Riccati().solve_in_python(problem, *problem.inputs(*numbers), solution("swing-up"))
+    assert found.status is Status.CONVERGED
+    assert found.iterations > 1  # without multipliers
+    np.testing.assert_allclose(found.objective, solution("swing-up").objective, rtol=1e-8)
 
 
 def test_trajectory_as_a_guess_needs_no_dynamics_in_it():
