@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -105,9 +106,9 @@ class KKTResiduals:
     @property
     def worst(self) -> float:
         """Feasibility, or the largest other residual over `scale`; NaN if any of them is."""
-        with np.errstate(invalid="ignore"):  # infinity over infinity is NaN, which is the answer
-            duals = np.array([self.stationarity, self.complementarity, self.sign]) / self.scale
-        return float(np.max(np.append(duals, self.feasibility)))
+        duals = self.stationarity, self.complementarity, self.sign
+        parts = self.feasibility, *(float(part) / float(self.scale) for part in duals)
+        return math.nan if any(map(math.isnan, parts)) else float(max(parts))
 
 
 @dataclass(frozen=True)
