@@ -25,7 +25,7 @@ def derivative(problem, s0, psi, context, solution):
 
     rows = Inequalities.at(nlp, w, h.ravel())
     forces = rows.forces(solution.multipliers, solution.barrier)
-    C = np.vstack([-np.eye(len(w))[rows.lower], np.eye(len(w))[rows.upper], G])
+    C = np.vstack([rows.bounds.signs[:, None] * np.eye(len(w))[rows.bounds.entries], G])
     C_p = np.vstack([np.zeros((len(C) - len(G), H_p.shape[1])), G_p])
     if solution.barrier > 0:
         stiff = np.where(rows.equal, 0.0, solution.barrier / rows.slack**2)[:, None]

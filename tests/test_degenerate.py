@@ -107,6 +107,9 @@ POINTS = {
         one_step(lambda u, p: u**2, terminal=lambda s: (s - 1) ** 2, gain=lambda p: ca.sqrt(p - 2)), 0.5
     ),
     "nan_cost": Point(one_step(lambda u, p: ridge(u, p) - ca.log(u - 0.2), bounds=(-1, 1)), 0.5),
+    "edge": Point(
+        one_step(lambda u, p: ca.sqrt(u) * u + ridge(u, p)), 3e-7 + 0.75 * np.sqrt(3e-7), (3e-7,)
+    ),  # u = 3e-7
     "nan_slope": Point(one_step(lambda u, p: ca.norm_2(u) + ca.sumsqr(u - p), n=2, bounds=(-1, 1)), 0.5),
 }
 NEEDS_MORE = "did not converge"
@@ -139,6 +142,7 @@ FLAGGED = [
     ("infeasible", Implicit(), "no feasible point was found"),
     ("infeasible", FiniteDifference(), "solves failed, the first with INFEASIBLE"),
     ("kink", Implicit(), ""),
+    ("edge", Implicit(Ipopt()), "sits on a kink"),  # NaN beside it
     ("nan_dynamics", Unrolled(DESCENT), "NaN"),
     ("nan_dynamics", Implicit(), "NaN"),
     ("nan_dynamics", Implicit(DESCENT), "NaN"),

@@ -9,9 +9,10 @@ from dense_kkt import derivative
 from problems import TABLE, network, swing_up
 
 from kpirl_ocp import Ipopt, Riccati
+from kpirl_ocp.ocp.factorisation import Factorisation
 from kpirl_ocp.ocp.kkt import pack
 from kpirl_ocp.ocp.response import Response
-from kpirl_ocp.ocp.sensitivity import Instance
+from kpirl_ocp.ocp.sensitivity import Instance, PrimalDual, linearise
 
 CASES = TABLE | {
     "swing-up, 45 steps": lambda: swing_up(45),
@@ -115,3 +116,45 @@ def test_curvature_and_qualification_equal_their_dense_definitions():
     assert len(rows) > 3
     np.testing.assert_allclose(factors.qualification, singular.min(), rtol=1e-2)
     np.testing.assert_allclose(factors.curvature, values[0] / np.abs(np.linalg.eigvalsh(condensed)).max(), rtol=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("name", "barrier"), [("integrator", 0.0), ("iiwa at a limit", 0.0), ("tanh network", 0.0), *SMOOTHED.items()]
+)
+def test_change_of_the_adjoint_nearby_is_that_between_two_linearisations(name, barrier):
+    _, _, response, _ = solved(name, barrier)
+    system, rng = response.system, np.random.default_rng(4)
+    slope = rng.normal(size=len(system.point.w))
+    adjoint, _ = response.factors.adjoint(slope)
+    point = system.point
+    nearby = PrimalDual(
+        point.w + 1e-6 * rng.normal(size=point.w.shape),
+        point.costates + 1e-4 * rng.normal(size=point.costates.shape),
+        point.forces * (1 + 1e-4 * rng.normal(size=point.forces.shape)),
+    )
+    found = response.factors.follow(nearby, slope, adjoint)
+    moved, _ = Factorisation(linearise(system.instance, nearby, system.active)).adjoint(slope)
+    expected = np.linalg.norm(moved.w - adjoint.w) / np.linalg.norm(adjoint.w)
+    np.testing.assert_allclose(found, expected, rtol=1e-2, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["swing-up, 45 steps", "tanh network"])
+def test_adjoint_is_not_found_where_these_factors_are_of_no_use(name):
+    _, _, response, _ = solved(name)
+    point, slope = response.system.point, np.ones(len(response.system.point.w))
+    far = PrimalDual(point.w, point.costates * -1e4, point.forces)  # another Hessian
+    assert response.factors.follow(far, slope, response.factors.adjoint(slope)[0]) == np.inf
+
+
+@pytest.mark.parametrize("name", ["integrator", "iiwa at a limit", "tanh network"])
+def test_what_was_begun_with_the_factors_ends_where_it_would_otherwise(name):
+    _, _, response, _ = solved(name)
+    system, slope = response.system, np.random.default_rng(5).normal(size=len(response.system.point.w))
+    together = Factorisation(system, slope)
+    (one, residual), (other, _) = together.adjoint(slope), response.factors.adjoint(slope)
+    assert residual < 1e-10
+    np.testing.assert_allclose(one.w, other.w, rtol=0, atol=1e-10 * np.abs(other.w).max())
+    another = -slope  # one that was not begun
+    np.testing.assert_allclose(together.adjoint(another)[0].w, -one.w, rtol=0, atol=1e-10 * np.abs(other.w).max())
+    steps = together.newton_step(), response.factors.newton_step()
+    np.testing.assert_allclose(steps[0].w, steps[1].w, rtol=0, atol=1e-10)

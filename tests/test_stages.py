@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from problems import TABLE, integrator, network
 
-from kpirl_ocp.ocp import kkt_solves, stages
+from kpirl_ocp.ocp import kkt_solves, kkt_spectra, stages
 from kpirl_ocp.ocp.calls import Call, call
 from kpirl_ocp.ocp.derivatives import DynamicsDerivatives, Staged
 from kpirl_ocp.ocp.kkt import transcribe
+from kpirl_ocp.ocp.kkt_blocks import flat
+from kpirl_ocp.ocp.lagrangian import Lagrangian, lagrangian_symbols
 from kpirl_ocp.ocp.sensitivity import Instance, PrimalDual, linearise
 
 RNG = np.random.default_rng(0)
@@ -50,7 +52,6 @@ def test_products_with_stage_matrices_are_those_with_derivatives_of_the_whole_pr
         (system.defects, defects.ravel()),
         (system.slack[len(system.slack) - len(path) :], -path.ravel()),
         (system.gradient, slope.ravel()),
-        (instance.gradient(point), slope.ravel()),
         (system.times_hessian(w), H @ w),
         (system.times_jacobian(w), A @ w),
         (system.times_transposed_jacobian(costates), A.T @ costates),
@@ -58,6 +59,37 @@ def test_products_with_stage_matrices_are_those_with_derivatives_of_the_whole_pr
     ]:
         scale = max(1.0, np.abs(expected).max(initial=0.0))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * scale)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_products_without_matrices_are_those_with_them(name):
+    instance, point = random_point(TABLE[name]())
+    problem, steps = instance.problem, instance.problem.horizon
+    system = linearise(instance, point, np.zeros(len(point.forces), bool))
+    at = lagrangian_symbols(problem)
+    x, last = ca.MX.sym("x", problem.n_states + problem.n_actions, steps), ca.MX.sym("last", problem.n_states)
+    costates, forces = ca.MX.sym("costates", problem.n_states, steps), ca.MX.sym("forces", problem.n_path, steps)
+    here = Lagrangian(problem, *at)
+    balance, end = here.balance(x, last, costates, forces)
+    outputs = [flat(problem, balance, end), ca.vec(here.moved(x)), ca.vec(here.path(x)), here.slope()]
+    evaluate = ca.Function("products", [*at, x, last, costates, forces], outputs)
+    w, dcostates, dforces = (RNG.normal(size=size.shape) for size in (point.w, point.costates, point.forces))
+    dforces[: len(dforces) - len(instance.path_forces(dforces))] = 0  # bounds are not part of it
+    columns, s_last = system.by_stage(w)
+    direction = columns.T, s_last, dcostates.reshape(steps, -1).T, instance.path_forces(dforces).reshape(steps, -1).T
+    shaped = [v.reshape(at[i].shape, order="F") for i, v in enumerate(instance.arguments(point))]
+    found = [np.array(value).ravel() for value in evaluate(*shaped, *direction)]
+    n = len(point.costates)
+    pulled = system.times_transposed_jacobian(dcostates) + np.append(dcostates, np.zeros(len(w) - n))
+    slope = system.gradient + np.append(point.costates, np.zeros(len(w) - n))
+    expected = [
+        system.times_hessian(w) + pulled + system.times_transposed_rows(dforces),
+        system.times_jacobian(w) + w[:n],
+        instance.path_forces(system.times_rows(w)),
+        slope,
+    ]
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * max(1.0, np.abs(other).max(initial=0.0)))
 
 
 def test_stage_functions_take_the_derivatives_that_a_problem_brings():
@@ -111,7 +143,7 @@ def test_row_variances_are_those_of_the_dense_condensed_rows(name):
     A = np.array([system.times_jacobian(column) for column in np.eye(len(point.w))]).T
     Z = np.vstack([-np.linalg.solve(A[:, :n], A[:, n:]), np.eye(len(point.w) - n)])
     rows = np.array([system.times_rows(column) for column in Z.T]).T
-    (found,) = call(instance.problem, kkt_solves.row_variances)(system.F, system.G)
+    (found,) = call(instance.problem, kkt_spectra.row_variances)(system.F, system.G)
     np.testing.assert_allclose(found, (rows**2).sum(axis=1), rtol=1e-10, atol=1e-12)
 
 
@@ -123,8 +155,8 @@ def test_residuals_that_a_step_of_refinement_reports_are_those_of_the_system(nam
     w, costates, forces = (RNG.normal(size=x.shape) for x in (point.w, point.costates, point.forces))
     right, defects, values = (RNG.normal(size=x.shape) for x in (w, costates, forces))
     stiffness, scale = np.where(some, 10.0, 0.0), np.ones(len(some))
-    factors = call(instance.problem, kkt_solves.factor)(*system.matrices, stiffness)
-    system_side = [*system.matrices, system.stiffness, some.astype(float), scale, right, defects, values]
+    factors = [RNG.normal(size=kkt_solves.refine(instance.problem).numel_in(i)) for i in range(2, 6)]  # not used
+    system_side = [*system.matrices[2:], system.stiffness, some.astype(float), scale, right, defects, values]
     off = [np.zeros_like(x) for x in (right, defects, values)]  # the step is then zero
     step = call(instance.problem, kkt_solves.refine)
     forces = np.where(some, forces, 0.0)

@@ -11,6 +11,7 @@ sweep over the stages (`kpirl_ocp.ocp.response`): O(T) in time and memory.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
@@ -22,7 +23,7 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradient import Certificate, HypergradientResult, check_policy, enforce, not_finite, seen
 from kpirl_ocp.irl.loss import Loss, squared_distance
-from kpirl_ocp.ocp.calls import own
+from kpirl_ocp.ocp.calls import call
 from kpirl_ocp.ocp.factorisation import Factorisation
 from kpirl_ocp.ocp.probe import Probe, probe
 from kpirl_ocp.ocp.problem import OCP
@@ -113,21 +114,21 @@ def differentiate(
 ) -> HypergradientResult:
     """Loss, implicit gradient and certificate at a solution that any solver found; read the certificate."""
     s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
-    evaluate = own(_loss_and_slope(problem, loss))
+    evaluate = call(problem, _loss_and_slope(loss))
     (value,), slope = evaluate(solution.states, solution.actions, seen(problem, demonstration).T)
     value = float(value)
     instance = Instance(problem, s0, psi, context, solution.barrier)
-    point, active = primal_dual(instance, solution)
-    system = linearise(instance, point, active)
+    system = linearise(instance, primal_dual(instance, solution))
     if not system.finite or not np.isfinite(slope).all():
-        return _undefined(value, len(psi), solution, active)
+        return _undefined(value, len(psi), solution, system.active)
 
-    response = Response(system, Factorisation(system))
-    adjoint = response.pull(slope)
+    response = Response(system, Factorisation(system, slope))
+    adjoint, residual = response.factors.adjoint(slope)
+    gradient, _ = response.by_parameters(adjoint)
 
     nearby = Probe(np.inf, np.nan, np.inf, np.inf)
-    if np.isfinite(adjoint.adjoint).all():
-        nearby = probe(instance, system, response.factors, slope, adjoint.adjoint)
+    if np.isfinite(adjoint.w).all():
+        nearby = probe(system, response.factors, slope, adjoint)
     evidence = ImplicitCertificate(
         solution=solution,
         failures=(),
@@ -138,23 +139,27 @@ def differentiate(
         margin=nearby.margin,
         change=nearby.change,
         kink=nearby.kink,
-        linear_residual=adjoint.residual,
-        active=active,
+        linear_residual=residual,
+        active=system.active,
         barrier=solution.barrier,
     )
-    failures = tuple(not_finite(value, adjoint.psi) + _failures(evidence))
-    return HypergradientResult(value, adjoint.psi, replace(evidence, failures=failures))
+    failures = tuple(not_finite(value, gradient) + _failures(evidence))
+    return HypergradientResult(value, gradient, replace(evidence, failures=failures))
 
 
 @lru_cache(maxsize=64)
-def _loss_and_slope(problem: OCP, loss: Loss) -> ca.Function:
-    """(S (n_s, T+1), U (n_u, T), Z (n_z, T+1)) -> L and dL/dw (n_w,)."""
-    states = ca.MX.sym("S", problem.n_states, problem.horizon + 1)
-    actions = ca.MX.sym("U", problem.n_actions, problem.horizon)
-    observed = ca.MX.sym("Z", problem.n_observations, problem.horizon + 1)
-    value = loss(problem)(states, actions, observed)
-    slope = ca.vertcat(ca.vec(ca.gradient(value, states)[:, 1:]), ca.vec(ca.gradient(value, actions)))
-    return ca.Function("loss_and_slope", [states, actions, observed], [ca.densify(x) for x in (value, slope)])
+def _loss_and_slope(loss: Loss) -> Callable[[OCP], ca.Function]:
+    """problem -> (S (n_s, T+1), U (n_u, T), Z (n_z, T+1)) -> L and dL/dw (n_w,)."""
+
+    def build(problem: OCP) -> ca.Function:
+        states = ca.MX.sym("S", problem.n_states, problem.horizon + 1)
+        actions = ca.MX.sym("U", problem.n_actions, problem.horizon)
+        observed = ca.MX.sym("Z", problem.n_observations, problem.horizon + 1)
+        value = loss(problem)(states, actions, observed)
+        slope = ca.vertcat(ca.vec(ca.gradient(value, states)[:, 1:]), ca.vec(ca.gradient(value, actions)))
+        return ca.Function("loss_and_slope", [states, actions, observed], [ca.densify(x) for x in (value, slope)])
+
+    return build
 
 
 def _undefined(loss: float, n_parameters: int, solution: Solution, active: Mask) -> HypergradientResult:

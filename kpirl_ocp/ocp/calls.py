@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -31,26 +32,28 @@ class Call:
     def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = function.buffer()
         self._sizes_in, self._sizes_out = _sizes(function)
-        self._inputs, self._outputs = (
-            [np.empty(size) if size <= _SMALL else None for size in sizes]
-            for sizes in (self._sizes_in, self._sizes_out)
-        )
-        for arrays, tell in ((self._inputs, self._buffer.set_arg), (self._outputs, self._buffer.set_res)):
+        block, places = _small(self._sizes_in)
+        self._inputs = [None if place is None else block[place] for place in places]
+        self._results, self._places = _small(self._sizes_out)
+        outputs = [None if place is None else self._results[place] for place in self._places]
+        for arrays, tell in ((self._inputs, self._buffer.set_arg), (outputs, self._buffer.set_res)):
             for i, array in enumerate(arrays):
                 if array is not None:
                     tell(i, array.data)
+        self._large = [i for i, place in enumerate(self._places) if place is None]
         self._fixed: list[Array] = []
 
     def __call__(self, *arguments: Array) -> list[Array]:
-        """New flat arrays, one per output."""
+        """New flat arrays, one per output; the small ones share one block of memory."""
         kept = self._hand_over(arguments, len(self._fixed))
         if len(self._fixed) + len(kept) != len(self._sizes_in):
             raise ValueError(f"{len(kept)} arguments were given, expected {len(self._sizes_in) - len(self._fixed)}.")
-        large = {i: np.empty(size) for i, size in enumerate(self._sizes_out) if size > _SMALL}
+        large = {i: np.empty(self._sizes_out[i]) for i in self._large}
         for i, array in large.items():
             self._buffer.set_res(i, array.data)
         self._evaluate()
-        return [large[i] if memory is None else memory.copy() for i, memory in enumerate(self._outputs)]
+        block = self._results.copy()
+        return [large[i] if place is None else block[place] for i, place in enumerate(self._places)]
 
     def fix(self, *arguments: Array) -> Call:
         """The same object, with its first arguments given for all later calls."""
@@ -68,7 +71,7 @@ class Call:
                 memory = np.ascontiguousarray(array)
                 self._buffer.set_arg(i, memory.data)
             else:
-                memory[:] = array.reshape(-1)
+                memory[:] = array if array.ndim == 1 else array.ravel()
             kept.append(memory)
         return kept
 
@@ -80,18 +83,28 @@ def call(problem: OCP, build: Build) -> Call:
 
 def call_one_of(problem: OCP, builds: tuple[Build, ...], build: Build) -> Call:
     """The same, compiled together with others that share most of their code."""
-    return own(_native(problem, builds)[builds.index(build)])
+    return _mine("built", _built)(problem, builds, build).fix()
 
 
 def own(function: ca.Function) -> Call:
     """This thread's object for a function; its arguments are open again."""
-    if not hasattr(_thread, "find"):
-        _thread.find = lru_cache(maxsize=512)(Call)
-    found: Call = _thread.find(function)
-    return found.fix()
+    return _mine("given", Call)(function).fix()
 
 
 _thread = threading.local()
+
+
+def _mine(name: str, make: Callable[..., Call]) -> Callable[..., Call]:
+    """`make`, which remembers what it made for this thread."""
+    found: Callable[..., Call] | None = getattr(_thread, name, None)
+    if found is None:
+        found = lru_cache(maxsize=512)(make)
+        setattr(_thread, name, found)
+    return found
+
+
+def _built(problem: OCP, builds: tuple[Build, ...], build: Build) -> Call:
+    return Call(_native(problem, builds)[builds.index(build)])
 
 
 @lru_cache(maxsize=512)
@@ -103,6 +116,14 @@ def _native(problem: OCP, builds: tuple[Build, ...]) -> list[ca.Function]:
 def worth_compiling(problem: OCP) -> bool:
     """Is the problem large enough for machine code to repay the seconds that the compiler takes?"""
     return problem.horizon * (problem.n_states + problem.n_actions) ** 2 > _WORTH_COMPILING
+
+
+def _small(sizes: Sequence[int]) -> tuple[Array, list[slice | None]]:
+    """One block of memory for all arrays that are small, and where each is in it; None for a large one."""
+    lengths = [size if size <= _SMALL else 0 for size in sizes]
+    ends = np.cumsum([0, *lengths]).tolist()
+    places = [slice(*pair) if size <= _SMALL else None for pair, size in zip(pairwise(ends), sizes, strict=True)]
+    return np.empty(ends[-1]), places
 
 
 @lru_cache(maxsize=512)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 
 if TYPE_CHECKING:
+    from kpirl_ocp.ocp.points import Points
     from kpirl_ocp.ocp.sweeps import Sweeps
 
 
@@ -51,6 +52,7 @@ class DynamicsDerivatives:
         f_s^T lam, f_u^T lam, with what they share computed once. psi is (0, T) where f does not depend on it.
     second: (s, u, psi, lam) -> f, (f_s, f_u) and `hessian`, likewise.
     sweeps: (T, B) -> the passes along B trajectories, where something better than stage by stage is known.
+    points: (S, U, psi, Lambda) -> linearised at all points at once, likewise.
     """
 
     jvp: ca.Function
@@ -60,6 +62,7 @@ class DynamicsDerivatives:
     first: Callable[[int], ca.Function]
     second: Staged
     sweeps: Callable[[int, int], Sweeps] | None = None
+    points: Callable[[ca.MX, ca.MX, ca.MX, ca.MX], Points] | None = None
 
     @classmethod
     def by_ad(cls, dynamics: ca.Function) -> DynamicsDerivatives:

@@ -8,7 +8,8 @@ dynamics when the Hessian is on the null space of the active rows, and by more t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator
 from functools import cached_property
 
 import casadi as ca
@@ -16,43 +17,56 @@ import numpy as np
 
 from kpirl_ocp.ocp import kkt_solves as compiled
 from kpirl_ocp.ocp.calls import Call, call_one_of
+from kpirl_ocp.ocp.kkt_spectra import DEPENDENCE
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.sensitivity import KKTSystem, scatter
-from kpirl_ocp.ocp.spectrum import ritz, start
+from kpirl_ocp.ocp.sensitivity import KKTSystem, PrimalDual, scatter
+from kpirl_ocp.ocp.spectrum import start
 from kpirl_ocp.types import Array
 
-_DELTA = 1e-8  # balances the rounding of the recursion, 1e-16 / delta, against the rate of the refinement
-_DEPENDENCE = 1e-11  # delta of `qualification`: singular values are known to its square root
 _REFINEMENTS = 12
 _EXACT = 1e-13  # relative residual at which refinement stops
+_CLOSE = 1e-10  # below it, a step that gains less than three digits has met the rounding
+_DIGITS = 0.03  # relative distance from some eigenvalue, the outermost or one close to it, at which to stop
+_STARTS = 4
+_SETTLED = 0.1  # the last correction in `follow` over the whole change; where it is small,
+_FOLLOWED = 1e-6  # over the adjoint. The residual, relative, above which these factors were of no use there
+_NOTHING = 1e-8  # an adjoint this much shorter than a free one is zero up to rounding: the constraints leave no freedom
 
 
 class Factorisation:
     """The factors of a KKT system.
 
     curvature: smallest eigenvalue of the reduced Hessian (with a minimum; else one that is not positive) over the
-        largest |eigenvalue| of the condensed one; infinite when the active constraints leave no freedom.
+        largest |eigenvalue| of the condensed one, estimated from above by a few products: where many eigenvalues lie
+        close together, as in long horizons, by some ten per cent. Infinite when the active constraints leave no
+        freedom.
     softest: (n_w,) the direction of that eigenvalue, of length one.
     qualification: smallest singular value of the active rows in the actions, scaled to length one; infinite without.
     """
 
-    def __init__(self, system: KKTSystem) -> None:
-        self._system = system
+    def __init__(self, system: KKTSystem, slope: Array | None = None) -> None:
+        """slope: (n_w,) if given, the adjoint of this one and the Newton step are begun on the way."""
+        self._system, self._slope = system, slope
         self._n_actions = system.instance.problem.horizon * system.instance.problem.n_actions
-        F, _, H, H_last = system.matrices
-        spectrum = self._call(compiled.condensed_spectrum)(F, H, H_last, start(self._n_actions))
-        self._scale = float(np.abs(ritz(*spectrum)[0]).max())
         self._lengths = self._row_lengths()
-        self._units = np.where(self._lengths > 0, self._lengths, 1.0)
-        self._stiffness = np.where(system.active, (self._scale or 1.0) / (_DELTA * self._units**2), 0.0)
-        self._factors = self._factor(system.matrices, system.stiffness + self._stiffness)
+        active = system.active.astype(float)
+        given = [*system.matrices, system.stiffness, active, self._lengths, start(self._n_actions)]
+        if slope is None:
+            found = self._call(compiled.factor)(*given)
+        else:
+            found = self._call(compiled.begin)(*given, slope, *system.newton)
+        *self._factors, stiffness, self._per_unit, (self._scale,) = found[:7]
+        self._inverse, steps = found[7:11], found[11:]
+        self._adjoint, self._newton = [steps[:7], steps[7:14]] if steps else [], [steps[14:]] if steps else []
+        self._matrices = [system.F.ravel(), system.G.ravel(), *self._factors, stiffness]
+        self._rows = [active, self._per_unit]
 
-    @cached_property
+    @property
     def curvature(self) -> float:
         """See the class."""
         return self._softest[0]
 
-    @cached_property
+    @property
     def softest(self) -> Array:
         """See the class."""
         return self._softest[1]
@@ -60,98 +74,135 @@ class Factorisation:
     @cached_property
     def _softest(self) -> tuple[float, Array]:
         """Inverse iteration: the largest eigenvalue of N (N' H N)^{-1} N' belongs to the smallest of N' H N."""
-        nothing = np.zeros(self._system.point.w.shape)
+        _, *parts = self._factors
         if int(self._system.active.sum()) >= self._n_actions:
-            return np.inf, nothing
-        at, pivots = (self._system.F.ravel(), *self._factors), self._factors[-1]
-        values, vectors = ritz(*self._call(compiled.inverse_spectrum)(*at, start(self._n_actions)))
-        if not np.isfinite(values).all() or self._scale == 0:
-            return 0.0, nothing
-        worst = 0 if (pivots < 0).any() else -1  # the pivots know the signs, the Lanczos method the size
-        eigenvalue = 1 / values[worst]
-        if worst == 0 and eigenvalue > 0:
-            return np.nan, nothing  # there is a negative eigenvalue that the Lanczos method did not find
-        (direction,) = self._call(compiled.back)(*at, vectors[:, worst])
-        return float(eigenvalue / self._scale), direction / np.linalg.norm(direction)
+            return np.inf, np.zeros(self._system.point.w.shape)
+        negative = bool((parts[-1] < 0).any())  # the pivots know the signs, the Lanczos method the size
+        again = self._call(compiled.inverse_spectrum)
+        value, (_, direction) = _known(self._inverse, lambda v: again(self._system.F, *parts, v), negative)
+        if not math.isfinite(value) or self._scale == 0:
+            return 0.0, np.zeros(direction.shape)
+        if negative != (value < 0):
+            return np.nan, np.zeros(direction.shape)  # the Lanczos method did not find what the pivots know
+        return float(1 / (value * self._scale)), direction / _norm(direction)
 
     @cached_property
     def qualification(self) -> float:
-        """See the class.
-
-        Multipliers of the rows D C w = b with delta relaxation and cost |u|^2 / 2 are (D C Z Z' C' D + delta)^{-1} b.
-        """
+        """See the class; a singular value is the root of the eigenvalue of a square, here of its inverse."""
         system, active = self._system, self._system.active
-        count, n_s, n_x = int(active.sum()), len(system.H_last), system.H.shape[1]
+        count = int(active.sum())
         if not count:
             return np.inf
         if count > self._n_actions or not (self._lengths[active] > 0).all():
             return 0.0
         if system.only_actions:
             return 1.0  # different entries of u
-        F, G, *_ = system.matrices
-        effort = np.zeros_like(system.H)
-        effort[:, np.arange(n_s, n_x), np.arange(n_s, n_x)] = 1.0
-        weights = np.where(active, 1 / (_DEPENDENCE * self._units**2), 0.0)
-        factors = self._factor((F, G, effort.ravel(), np.zeros(n_s * n_s)), weights)
-        scale, begin = np.where(active, 1 / self._units, 0.0), scatter(active, start(count))
-        spectrum = self._call(compiled.dependence_spectrum)(F, G, *factors, scale, np.array([_DEPENDENCE]), begin)
-        diagonal, beside, basis = spectrum
-        basis = basis.reshape(len(diagonal), -1)[:count]  # there are no more dimensions than active rows
-        largest = ritz(diagonal[:count], beside[:count], basis)[0][-1]
-        return float(np.sqrt(max(1 / largest - _DEPENDENCE, 0.0)))
+        scale = np.where(active, self._per_unit, 0.0)
 
-    def solve(
-        self, right: Array, defects: Array, values: Array, system: KKTSystem | None = None
-    ) -> tuple[Array, Array, Array, float]:
+        def spectrum(begin: Array) -> list[Array]:
+            return self._call(compiled.dependence_spectrum)(system.F, system.G, scale, begin)
+
+        largest, _ = _known(spectrum(scatter(active, start(count))), spectrum, negative=False)
+        return float(np.sqrt(max(1 / largest - DEPENDENCE, 0.0)))
+
+    def adjoint(self, slope: Array) -> tuple[PrimalDual, float]:
+        """The solution for (slope, 0, 0), and its relative residual."""
+        right = slope, np.zeros(len(self._system.defects)), np.zeros(len(self._system.active))
+        return self._refined(right, _EXACT, self._adjoint if slope is self._slope else [])
+
+    def newton_step(self) -> PrimalDual:
+        """The Newton step on the KKT conditions; it need not be exact to tell how far the solution is."""
+        return self._refined(self._system.newton, _FOLLOWED, self._newton)[0]
+
+    def solve(self, right: Array, defects: Array, values: Array) -> tuple[PrimalDual, float]:
         """w, lambda and mu for (r_w, r_d, r_c), and the relative residual; r_c and mu (n_ineq,), zero where not active.
 
-        system: another one nearby to solve with these factors; refinement then makes up for the difference, and the
-        residual says if it could. A singular reduced Hessian divides by zero: infinities and NaN come out, and
-        `curvature` says why.
+        A singular reduced Hessian divides by zero: infinities and NaN come out, and `curvature` says why.
         """
-        system = system or self._system
-        step = self._refinement(system, right, defects, values)
-        point, off = [np.zeros(part.shape) for part in (right, defects, values)], [right, defects, values]
-        result, best = point, np.inf
-        for _ in range(_REFINEMENTS):
-            *arrays, norms = step(*point, *off)
-            point, off = arrays[:3], arrays[3:]
-            error = self._error(norms, right)
-            stalled = not error < best / 10
-            if error < best:
-                best, result = error, point
-            if stalled or error <= _EXACT:
+        return self._refined((right, defects, values), _EXACT, [])
+
+    def _refined(
+        self, right: tuple[Array, Array, Array], enough: float, begun: list[list[Array]]
+    ) -> tuple[PrimalDual, float]:
+        """Steps of refinement, of which some were done, until the residual is small enough or meets the rounding."""
+        size, least = _norm(right[0]), self._least(right[0])
+        result: list[Array] = []
+        best = np.inf
+        for *arrays, norms in self._steps(right, begun):
+            error = _error(norms, size, least)
+            stalled = not error < best / (10 if error > _CLOSE else 1000)
+            if error < best or not result:
+                best, result = error, arrays[:3]
+            if stalled or error <= enough:
                 break
-        w, costates, forces = result if np.isfinite(best) else point
-        return w, costates, forces, best
+        return PrimalDual(*result), best
 
-    def size(self, right: Array) -> float:
+    def _steps(self, right: tuple[Array, Array, Array], begun: list[list[Array]]) -> Iterator[list[Array]]:
+        """What `refine` gives in every step, from zero on."""
+        yield from begun
+        system = self._system
+        at = begun[-1][:6] if begun else [*(np.zeros(part.shape) for part in right), *right]
+        given = [*self._matrices, system.H, system.H_last, system.stiffness, *self._rows, *right]
+        step = self._call(compiled.refine).fix(*given)
+        for _ in range(_REFINEMENTS - len(begun)):
+            found = step(*at)
+            at = found[:6]
+            yield found
+
+    def follow(self, nearby: PrimalDual, right: Array, adjoint: PrimalDual) -> float:
+        """Relative change at a point nearby of the w that solves (r_w, 0, 0), `adjoint` here; infinite if not found.
+
+        These factors find it when the two systems differ little: corrections get shorter, and so do residuals.
+        """
+        instance = self._system.instance
+        at = *instance.arguments(nearby), np.array([instance.barrier])
+        step = self._call(compiled.follow).fix(*self._matrices, *at, *self._rows, right)
+        size, least = _norm(right), self._least(right)
+        whole = max(_norm(adjoint.w), _NOTHING * least)
+        triple = [adjoint.w, adjoint.costates, adjoint.forces]
+        for _ in range(_REFINEMENTS // 2):
+            *triple, norms = step(*triple)
+            with np.errstate(over="ignore"):  # at a fold
+                change, last = _norm(triple[0] - adjoint.w), norms[-1]
+            if _error(norms, size, least) <= _FOLLOWED and last <= max(_SETTLED * change, _FOLLOWED * whole):
+                return change / whole if change else 0.0
+        return np.inf
+
+    def _least(self, right: Array) -> float:
         """|r_w| over the largest |eigenvalue| of the condensed Hessian: the least that an unconstrained w can be."""
-        return float(np.linalg.norm(right)) / (self._scale or 1.0)
-
-    def _refinement(self, system: KKTSystem, right: Array, defects: Array, values: Array) -> Call:
-        """A step of refinement towards the solution for these right-hand sides."""
-        own, active = self._system, system.active.astype(float)
-        fixed = [own.F.ravel(), own.G.ravel(), *self._factors, self._stiffness]
-        fixed += [*system.matrices, system.stiffness, active, 1 / self._units, right, defects, values]
-        return self._call(compiled.refine).fix(*fixed)
-
-    def _error(self, norms: Array, right: Array) -> float:
-        """The largest of the three residuals, relative to the right-hand side or to what w would be without rows."""
-        off, gap, violation, length = norms
-        size = max(length, self.size(right)) or 1.0
-        return float(max(off / (float(np.linalg.norm(right)) or 1.0), gap / size, violation / size))
-
-    def _factor(self, matrices: Sequence[Array], weights: Array) -> list[Array]:
-        """P, W, Y and pivots of the Hessian with stiff rows."""
-        return self._call(compiled.factor)(*matrices, weights)
+        return _norm(right) / (self._scale or 1.0)
 
     def _row_lengths(self) -> Array:
         """Length (n_ineq,) of every row as a function of the actions, from the covariance of w under white u."""
         if self._system.only_actions:
             return np.ones(len(self._system.active))
-        F, G, *_ = self._system.matrices
-        return np.sqrt(self._call(compiled.row_variances)(F, G)[0])
+        return np.sqrt(self._call(compiled.row_variances)(self._system.F, self._system.G)[0])
 
     def _call(self, build: Callable[[OCP], ca.Function]) -> Call:
         return call_one_of(self._system.instance.problem, compiled.ALL, build)
+
+
+def _known(found: list[Array], again: Callable[[Array], list[Array]], negative: bool) -> tuple[float, list[Array]]:
+    """An eigenvalue to its first digits, and its vectors, by a Lanczos process that starts again with what it found."""
+    for left in reversed(range(_STARTS)):
+        (value,), (error,), *vectors = found
+        right = (value < 0) == negative and error <= _DIGITS * abs(value)
+        if right or not left or not math.isfinite(value):
+            break
+        found = again(vectors[0])
+    return float(value), vectors
+
+
+def _error(norms: Array, size: float, least: float) -> float:
+    """The largest of the three residuals, relative to the right-hand side or to what w would be without rows.
+
+    norms: of the residuals and of w. size: of the right-hand side r_w. least: of w, see `Factorisation._least`.
+    """
+    off, gap, violation, length = norms[:4].tolist()
+    scale = max(length, least) or 1.0
+    parts = off / (size or 1.0), gap / scale, violation / scale
+    return math.nan if math.isnan(sum(parts)) else max(parts)
+
+
+def _norm(vector: Array) -> float:
+    return math.sqrt(vector.dot(vector))

@@ -18,9 +18,11 @@ _KERNEL = r"""
 #define TILE_LANES 4
 #define TILE_VECTORS 2
 #endif
+#define HALF_LANES 4
 #define UNROLL _Pragma("GCC unroll 8")
 /* Unaligned vectors of doubles; a compiler without that width splits them. */
 typedef casadi_real tile_vector __attribute__((vector_size(TILE_LANES * sizeof(casadi_real)), aligned(8), may_alias));
+typedef casadi_real half_vector __attribute__((vector_size(HALF_LANES * sizeof(casadi_real)), aligned(8), may_alias));
 
 /* rows first .. end of `columns` columns, as vectors of which the last overlaps its neighbour if it has to;
    `chains` partial sums hide the latency of a tile that is low */
@@ -67,6 +69,31 @@ static inline __attribute__((always_inline)) void casadi_panel(const int columns
   }
 }
 
+/* 4 .. 8 rows as two vectors of four that overlap, with two partial sums each */
+static inline void casadi_low(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
+    const casadi_real* y, casadi_int ncol_y, casadi_real* z) {
+  const casadi_int below = nrow_x - HALF_LANES;
+  casadi_int i, k;
+  for (i = 0; i < ncol_y; ++i, y += ncol_x, z += nrow_x) {
+    const casadi_real* column = x;
+    half_vector top[2] = {*(const half_vector*) z, {0}}, bottom[2] = {*(const half_vector*) (z + below), {0}};
+    for (k = 0; k + 2 <= ncol_x; k += 2, column += 2 * nrow_x) {
+      top[0] += *(const half_vector*) column * y[k];
+      bottom[0] += *(const half_vector*) (column + below) * y[k];
+      top[1] += *(const half_vector*) (column + nrow_x) * y[k + 1];
+      bottom[1] += *(const half_vector*) (column + nrow_x + below) * y[k + 1];
+    }
+    if (k < ncol_x) {
+      top[0] += *(const half_vector*) column * y[k];
+      bottom[0] += *(const half_vector*) (column + below) * y[k];
+    }
+    top[0] += top[1];
+    bottom[0] += bottom[1];
+    *(half_vector*) z = top[0];
+    *(half_vector*) (z + below) = bottom[0];
+  }
+}
+
 /* z += y' x: sums along the columns of y, four of them side by side */
 static inline void casadi_row(const casadi_real* x, casadi_int count, const casadi_real* y, casadi_int ncol_y,
     casadi_real* z) {
@@ -75,23 +102,34 @@ static inline void casadi_row(const casadi_real* x, casadi_int count, const casa
   for (i = 0; i < ncol_y; i += 4, y += 4 * count, z += 4) {
     const int columns = ncol_y - i < 4 ? (int) (ncol_y - i) : 4;
     tile_vector sum[4] = {{0}};
+    half_vector half[4] = {{0}};
     casadi_real rest[4] = {0};
     if (columns == 4) {
       for (k = 0; k + TILE_LANES <= count; k += TILE_LANES)
         UNROLL for (c = 0; c < 4; ++c)
           sum[c] += *(const tile_vector*) (x + k) * *(const tile_vector*) (y + k + c * count);
+      if (k + HALF_LANES <= count) {
+        UNROLL for (c = 0; c < 4; ++c)
+          half[c] = *(const half_vector*) (x + k) * *(const half_vector*) (y + k + c * count);
+        k += HALF_LANES;
+      }
       for (; k < count; ++k)
         UNROLL for (c = 0; c < 4; ++c) rest[c] += x[k] * y[k + c * count];
     } else {
       for (c = 0; c < columns; ++c) {
         for (k = 0; k + TILE_LANES <= count; k += TILE_LANES)
           sum[c] += *(const tile_vector*) (x + k) * *(const tile_vector*) (y + k + c * count);
+        if (k + HALF_LANES <= count) {
+          half[c] = *(const half_vector*) (x + k) * *(const half_vector*) (y + k + c * count);
+          k += HALF_LANES;
+        }
         for (; k < count; ++k) rest[c] += x[k] * y[k + c * count];
       }
     }
     for (c = 0; c < columns; ++c) {
-      UNROLL for (lane = 0; lane < TILE_LANES; ++lane) rest[c] += sum[c][lane];
-      z[c] += rest[c];
+      UNROLL for (lane = 0; lane < TILE_LANES; lane += HALF_LANES)
+        half[c] += *(const half_vector*) ((const casadi_real*) &sum[c] + lane);
+      z[c] += rest[c] + ((half[c][0] + half[c][2]) + (half[c][1] + half[c][3]));
     }
   }
 }
@@ -110,6 +148,8 @@ static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_
 #undef PANELS
   } else if (!tr && nrow_x == 1) {
     casadi_row(x, ncol_x, y, ncol_y, z);
+  } else if (!tr && nrow_x >= HALF_LANES) {
+    casadi_low(x, nrow_x, ncol_x, y, ncol_y, z);
   } else if (!tr) {
     for (; i < ncol_y; ++i)
       for (k = 0; k < ncol_x; ++k)

@@ -19,6 +19,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.costs import KeypointCost
 from kpirl_ocp.ocp.kinematics import Robot
 from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.network_points import NetworkPoints
 from kpirl_ocp.ocp.network_sweeps import NetworkSweeps
 from kpirl_ocp.ocp.problem import OCP, UNBOUNDED, Bounds, broadcast_bounds
 from kpirl_ocp.types import Array
@@ -99,7 +100,11 @@ def network_ocp(
         action_bounds=(-max_displacement, max_displacement),
         state_bounds=(np.hstack([-free[0], lower, -free[1]]), np.hstack([free[0], upper, free[1]])),
         schedule=schedule,
-        derivatives=replace(dynamics.derivatives(n_psi), sweeps=partial(NetworkSweeps, dynamics)),
+        derivatives=replace(
+            dynamics.derivatives(n_psi),
+            sweeps=partial(NetworkSweeps, dynamics),
+            points=partial(NetworkPoints, dynamics),
+        ),
     )
 
 

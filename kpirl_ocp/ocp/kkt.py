@@ -34,11 +34,32 @@ class NLP:
     n_defects: int
 
     @cached_property
-    def bounded(self) -> tuple[Indices, Indices, Mask]:
-        """Entries of w with a finite lower bound, and with a finite upper one; where both, of all these, coincide."""
+    def bounded(self) -> Bounds:
+        """All finite bounds of w."""
         low, high = np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
-        fixed = self.lower == self.upper
-        return low, high, np.concatenate([fixed[low], fixed[high]])
+        entries, limits = np.concatenate([low, high]), np.concatenate([self.lower[low], self.upper[high]])
+        signs = np.repeat([-1.0, 1.0], [len(low), len(high)])
+        twice = np.bincount(entries, minlength=len(self.lower))[entries] > 1
+        return Bounds(entries, signs, limits, twice, (self.lower == self.upper)[entries], len(low))
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Finite lower bounds, then finite upper bounds, as signs * (limits - w[entries]) >= 0; all (n_bounds,).
+
+    twice: True where the other side is bounded, too. equal: where it coincides. n_lower: how many are lower bounds.
+    """
+
+    entries: Indices
+    signs: Array
+    limits: Array
+    twice: Mask
+    equal: Mask
+    n_lower: int
+
+    def slack(self, w: Array) -> Array:
+        """What is left (n_bounds,) at w (n_w,)."""
+        return self.signs * (self.limits - w[self.entries])
 
 
 @lru_cache(maxsize=64)
@@ -109,25 +130,19 @@ def bound_multipliers(multipliers: Multipliers) -> Array:
 class Inequalities:
     """All inequalities in one list, each as slack >= 0: finite lower bounds, finite upper bounds, path constraints.
 
-    lower, upper: indices into w of the bounded entries. slack: (n_ineq,).
-    equal: (n_ineq,) True where lower and upper bound coincide, so that the row is an equality.
+    slack: (n_ineq,). equal: (n_ineq,) True where lower and upper bound coincide, so that the row is an equality.
     """
 
-    lower: Indices
-    upper: Indices
+    bounds: Bounds
     slack: Array
     equal: Mask
 
     @classmethod
     def at(cls, nlp: NLP, w: Array, path: Array) -> Inequalities:
         """The inequalities at w (n_w,), with path constraints (T n_h,) evaluated there."""
-        low, high, fixed = nlp.bounded
-        return cls(
-            lower=low,
-            upper=high,
-            slack=np.concatenate([w[low] - nlp.lower[low], nlp.upper[high] - w[high], -path]),
-            equal=np.concatenate([fixed, np.zeros(len(path), bool)]),
-        )
+        bounds = nlp.bounded
+        equal = np.concatenate([bounds.equal, np.zeros(len(path), bool)])
+        return cls(bounds, np.concatenate([bounds.slack(w), -path]), equal)
 
     def forces(self, multipliers: Multipliers, barrier: float) -> Array:
         """Multipliers (n_ineq,), not negative at a solution: each signed bound multiplier split into its two sides.
@@ -135,29 +150,24 @@ class Inequalities:
         With a barrier both sides of a bound push, and only their difference is known: there they follow from the
         slack, tau / slack, and a disagreement shows up in the stationarity.
         """
-        nu = bound_multipliers(multipliers)
-        sides = np.bincount(np.concatenate([self.lower, self.upper]), minlength=len(nu)) > 1
-        low = np.where(sides[self.lower], np.maximum(-nu[self.lower], 0.0), -nu[self.lower])
-        high = np.where(sides[self.upper], np.maximum(nu[self.upper], 0.0), nu[self.upper])
-        bounds = np.concatenate([low, high])
+        at = self.bounds
+        forces = at.signs * bound_multipliers(multipliers)[at.entries]
+        forces = np.where(at.twice, np.maximum(forces, 0.0), forces)
         if barrier > 0:
             with np.errstate(divide="ignore"):
-                bounds = np.where(self.equal[: len(bounds)], bounds, barrier / self.slack[: len(bounds)])
-        return np.concatenate([bounds, multipliers.path.ravel()])
+                forces = np.where(at.equal, forces, barrier / self.slack[: len(forces)])
+        return np.concatenate([forces, multipliers.path.ravel()])
 
     def push(self, forces: Array, n_w: int) -> Array:
         """Net force (n_w,) of the bounds: upper minus lower."""
-        net, split = np.zeros(n_w), len(self.lower)
-        net[self.lower] -= forces[:split]
-        net[self.upper] += forces[split : split + len(self.upper)]
-        return net
+        at = self.bounds
+        return np.bincount(at.entries, at.signs * forces[: len(at.entries)], n_w).astype(float)
 
 
-@lru_cache(maxsize=64)
 def bounded_entries(problem: OCP) -> tuple[Indices, Array]:
     """The entries of w (n_bounds,) that have a finite lower bound, then a finite upper one, and signs -1 and 1."""
-    low, high, _ = transcribe(problem).bounded
-    return np.concatenate([low, high]), np.repeat([-1.0, 1.0], [len(low), len(high)])
+    bounds = transcribe(problem).bounded
+    return bounds.entries, bounds.signs
 
 
 def audit(

@@ -1,231 +1,198 @@
-"""Solves and products with the KKT system of `kpirl_ocp.ocp.sensitivity`, each one compiled function.
+"""Factors of, and refinement with, the KKT system of `kpirl_ocp.ocp.sensitivity`: each one compiled function.
 
-Inequalities are listed as in `Inequalities`; what belongs to some of them only is zero for the others. F, G, H and H_T
-lie side by side as in `kpirl_ocp.ocp.stages`.
+Lists of inequalities and matrices are those of `kpirl_ocp.ocp.kkt_blocks`. Refinement is the method of multipliers:
+with r, d, c what is left of the right-hand sides and S the stiffness of the active rows,
+
+    K (dw, dlambda) = (r + C' S c, d),    dmu = S (C dw - c),    K the factorised system, H + C' S C in its corner.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.kkt import bounded_entries, transcribe
+from kpirl_ocp.ocp.kkt import transcribe
+from kpirl_ocp.ocp.kkt_blocks import (
+    Operator,
+    Stored,
+    bound_columns,
+    flat,
+    matrices,
+    n_rows,
+    rows,
+    split,
+    stiffened,
+    transposed_rows,
+)
+from kpirl_ocp.ocp.kkt_spectra import (
+    condensed_scale,
+    dependence_spectrum,
+    inverse_spectrum,
+    largest_inverse,
+    row_variances,
+)
+from kpirl_ocp.ocp.lagrangian import Lagrangian, lagrangian_symbols
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.recursion import condense, factorise, substitute
-from kpirl_ocp.ocp.spectrum import lanczos
-from kpirl_ocp.ocp.stage_blocks import by_stage, path_product, selection, stiffen_stage
-from kpirl_ocp.ocp.sweeps import along
+from kpirl_ocp.ocp.recursion import factor_symbols, substitute
+from kpirl_ocp.ocp.stage_blocks import by_stage
 
-PRODUCTS = 10  # Lanczos steps
-FIRST_DIGITS = 5  # of them, where the first digits are enough
+DELTA = 1e-8  # balances the rounding of the recursion, 1e-16 / DELTA, against the rate of the refinement
+
+
+class _Triple(NamedTuple):
+    """w, lambda and mu, or what stands opposite to them on the right."""
+
+    w: ca.MX
+    costates: ca.MX
+    forces: ca.MX
+
+    @classmethod
+    def symbols(cls, problem: OCP, *names: str) -> _Triple:
+        sizes = transcribe(problem).lower.size, problem.horizon * problem.n_states, n_rows(problem)
+        return cls(*(ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)))
+
+    def plus(self, other: _Triple) -> _Triple:
+        return _Triple(*(a + b for a, b in zip(self, other, strict=True)))
 
 
 @lru_cache(maxsize=64)
 def factor(problem: OCP) -> ca.Function:
-    """(F, G, H, H_T, weights (n_ineq,)) -> `factorise` of H + rows' weights rows."""
-    F, G, H, last = _matrices(problem)
-    weights = ca.MX.sym("weights", _n_rows(problem))
-    bounds, path = _split(problem, weights)
-    B = _bounds(problem)
-    stiff, stiff_last = by_stage(problem, (B * B) @ bounds)
-    n_x, n_h, steps = problem.n_states + problem.n_actions, problem.n_path, problem.horizon
-    H_stiff = stiffen_stage(n_x, n_h).map(steps)(H, G, stiff, path)
-    outputs = factorise(problem)(F, H_stiff, last + ca.diag(stiff_last))
-    return ca.Function("factor", [F, G, H, last, weights], list(outputs))
+    """(F, G, H, H_T, sigma, active (0 or 1), lengths (n_ineq,), start (T n_u,)) -> P, W, Y, pivots, S, 1/units, scale,
+
+    and the four of `largest_inverse`. The factors are those of
+
+        H + rows' (sigma + S) rows,    S = scale / (DELTA units^2) where active,
+
+    with the largest |eigenvalue| of the condensed Hessian as scale; units are the lengths where they are not zero.
+    """
+    F, G, H, last = matrices(problem)
+    sigma, active, lengths = (ca.MX.sym(name, n_rows(problem)) for name in ("sigma", "active", "lengths"))
+    start = ca.MX.sym("start", problem.horizon * problem.n_actions)
+    scale = condensed_scale(problem, F, H, last, start)
+    units = ca.if_else(lengths > 0, lengths, 1)
+    stiffness = active * ca.if_else(scale > 0, scale, 1) / (DELTA * units**2)
+    found = stiffened(problem, F, G, H, last, sigma + stiffness)
+    outputs = [*found, stiffness, 1 / units, scale, *largest_inverse(problem, F, found[1:], start)]
+    inputs = [F, G, H, last, sigma, active, lengths, start]
+    return ca.Function("factor", inputs, [ca.densify(x) for x in outputs])
 
 
 @lru_cache(maxsize=64)
 def refine(problem: OCP) -> ca.Function:
-    """One step of the method of multipliers towards the solution of
+    """One step of refinement towards the solution of
 
-        (H + rows' sigma rows) w + A' lambda + C' mu = r,    A w = d,    C w = c,
+        (H + rows' sigma rows) w + A' lambda + C' mu = r,    A w = d,    C w = c.
 
-    with the factors (F_0, G_0, P, W, Y, pivots) of a system nearby whose active rows are stiff with S.
-
-    (F_0, G_0, P, W, Y, pivots, S, F, G, H, H_T, sigma, active (0 or 1), 1/units, r, d, c, and w, lambda, mu with the
-    residuals of r, d, c that they leave) -> the last six after the step, and |r|, |d|, |c / units|, |w| of them.
+    (F, G, P, W, Y, pivots, S, H, H_T, sigma, active (0 or 1), 1/units, r, d, c, and w, lambda, mu with the residuals of
+    r, d, c that they leave) -> the last six after the step, and |r|, |d|, |c / units|, |w| of them.
     """
-    n_w, n_d, n_c = (transcribe(problem).lower.size, problem.horizon * problem.n_states, _n_rows(problem))
-    factors, (F, G, H, last) = _factors(problem), _matrices(problem)
-    F_0, G_0, *_ = _matrices(problem)
-    stiffness, sigma, active, scale = (ca.MX.sym(name, n_c) for name in ("S", "sigma", "active", "scale"))
-    right = [ca.MX.sym(name, size) for name, size in (("r", n_w), ("d", n_d), ("c", n_c))]
-    point = [ca.MX.sym(name, size) for name, size in (("w", n_w), ("lambda", n_d), ("mu", n_c))]
-    off = [ca.MX.sym(name, size) for name, size in (("r_off", n_w), ("d_off", n_d), ("c_off", n_c))]
-
-    pushed = off[0] + _transposed_rows(problem, G_0, stiffness * off[2])
-    dw, dcostates = _back(problem, F_0, factors, pushed, off[1])
-    w, costates = point[0] + dw, point[1] + dcostates
-    forces = point[2] + stiffness * (_rows(problem, G_0, dw) - off[2])
-    values = _rows(problem, G, w)
-    x, end = by_stage(problem, w)
-    product = _stagewise(problem, F, H, x, costates)
-    balance = _flat(problem, product, last @ end) + _transposed_rows(problem, G, sigma * values + forces)
-    balance[:n_d] -= costates
-    arrived = _moved(problem, F, x) - w[:n_d]
-    left = [right[0] - balance, right[1] - arrived, active * (right[2] - values)]
-    norms = ca.vertcat(*(ca.norm_2(part) for part in (left[0], left[1], left[2] * scale, w)))
-    inputs = [F_0, G_0, *factors, stiffness, F, G, H, last, sigma, active, scale, *right, *point, *off]
-    return ca.Function("refine", inputs, [ca.densify(x) for x in (w, costates, forces, *left, norms)])
-
-
-@lru_cache(maxsize=64)
-def back(problem: OCP) -> ca.Function:
-    """(F, P, W, Y, pivots, v (T n_u,)) -> w (n_w,) of the factorised system for r = (0, v)."""
-    F, *_ = _matrices(problem)
-    factors, v = _factors(problem), ca.MX.sym("v", problem.horizon * problem.n_actions)
-    return ca.Function("back", [F, *factors, v], [_back_actions(problem, F, factors, v)])
-
-
-@lru_cache(maxsize=64)
-def condensed_spectrum(problem: OCP) -> ca.Function:
-    """(F, H, H_T, start (T n_u,)) -> `lanczos` of Z' H Z, to the first digits."""
-    F, _, H, last = _matrices(problem)
-    n_u, steps = problem.n_actions, problem.horizon
-    start = ca.MX.sym("start", steps * n_u)
-
-    def operator(u: ca.MX) -> ca.MX:
-        return ca.vec(condense(problem)(F, H, last, ca.reshape(u, n_u, steps)))
-
-    return ca.Function("condensed_spectrum", [F, H, last, start], lanczos(operator, start, FIRST_DIGITS))
-
-
-@lru_cache(maxsize=64)
-def inverse_spectrum(problem: OCP) -> ca.Function:
-    """(F, P, W, Y, pivots, start (T n_u,)) -> `lanczos` of the actions' part of the inverse."""
-    F, *_ = _matrices(problem)
-    factors, n = _factors(problem), problem.horizon * problem.n_states
-    start = ca.MX.sym("start", problem.horizon * problem.n_actions)
-    outputs = lanczos(lambda v: _back_actions(problem, F, factors, v)[n:], start, PRODUCTS)
-    return ca.Function("inverse_spectrum", [F, *factors, start], outputs)
-
-
-@lru_cache(maxsize=64)
-def dependence_spectrum(problem: OCP) -> ca.Function:
-    """(F, G, P, W, Y, pivots, 1/lengths (n_ineq,), delta, start (n_ineq,)) -> `lanczos` of the relaxed multipliers.
-
-    That is of (1 - D C K C' D / delta) / delta with the factorised inverse K and D = 1/lengths.
-    """
-    F, G, *_ = _matrices(problem)
-    factors, n = _factors(problem), problem.horizon * problem.n_states
-    scale, delta = ca.MX.sym("scale", _n_rows(problem)), ca.MX.sym("delta")
-    start = ca.MX.sym("start", _n_rows(problem))
-
-    def operator(b: ca.MX) -> ca.MX:
-        pushed = _transposed_rows(problem, G, b * scale) / delta
-        w, _ = _back(problem, F, factors, pushed, ca.MX.zeros(n))
-        return (b - _rows(problem, G, w) * scale) / delta
-
-    outputs = lanczos(operator, start, PRODUCTS)
-    return ca.Function("dependence_spectrum", [F, G, *factors, scale, delta, start], outputs)
-
-
-@lru_cache(maxsize=64)
-def row_variances(problem: OCP) -> ca.Function:
-    """(F, G) -> row . Cov . row (n_ineq,), where Cov is the covariance of w when u is white and s_0 given."""
-    n_s, n_u, steps = problem.n_states, problem.n_actions, problem.horizon
-    n_x, n_h = n_s + n_u, problem.n_path
-    F, G, *_ = _matrices(problem)
-    S, F_t, G_t = ca.MX.sym("S", n_s, n_s), ca.MX.sym("F", n_s, n_x), ca.MX.sym("G", n_h, n_x)
-    of_x = ca.MX(ca.DM(np.diag(np.r_[np.zeros(n_s), np.ones(n_u)])))
-    of_x[:n_s, :n_s] = S
-    after = F_t @ of_x @ F_t.T
-    path = ca.sum2((G_t @ of_x) * G_t) if n_h else ca.MX(0, 1)
-    stage = ca.Function("variances", [S, F_t, G_t], [after, ca.diag(of_x), ca.densify(path)])
-    after, diagonals, path = along(stage, ca.MX.zeros(n_s, n_s), [F, G], steps)
-    of_w = _flat(problem, diagonals, ca.diag(after[:, -n_s:]))
-    B = _bounds(problem)
-    return ca.Function("row_variances", [F, G], [ca.densify(ca.vertcat((B * B).T @ of_w, ca.vec(path)))])
-
-
-def _matrices(problem: OCP) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
-    """Symbols for F, G, H and H_T."""
-    n_s, n_x, steps = problem.n_states, problem.n_states + problem.n_actions, problem.horizon
-    shapes = {"F": (n_s, n_x * steps), "G": (problem.n_path, n_x * steps), "H": (n_x, n_x * steps), "H_T": (n_s, n_s)}
-    F, G, H, last = (ca.MX.sym(name, *shape) for name, shape in shapes.items())
-    return F, G, H, last
-
-
-def _factors(problem: OCP) -> list[ca.MX]:
-    """Symbols for P, W, Y and the pivots."""
-    n_s, n_u, steps = problem.n_states, problem.n_actions, problem.horizon
-    shapes = {"P": (n_s, n_s * steps), "W": (n_u, n_u * steps), "Y": (n_u, n_s * steps), "pivots": (n_u, steps)}
-    return [ca.MX.sym(name, *shape) for name, shape in shapes.items()]
-
-
-def _n_rows(problem: OCP) -> int:
-    return len(bounded_entries(problem)[0]) + problem.horizon * problem.n_path
-
-
-def _bounds(problem: OCP) -> ca.DM:
-    """The transposed rows of the bounds (n_w, n_bounds)."""
-    return selection(problem, *bounded_entries(problem))
-
-
-def _split(problem: OCP, values: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """Of the bounds (n_bounds,), and of the path constraints (n_h, T)."""
-    bounds, path = ca.vertsplit(values, [0, len(bounded_entries(problem)[0]), values.numel()])
-    return bounds, ca.reshape(path, problem.n_path, problem.horizon)
-
-
-def _rows(problem: OCP, G: ca.MX, w: ca.MX) -> ca.MX:
-    """rows w (n_ineq,)."""
-    n_h, n_x = problem.n_path, problem.n_states + problem.n_actions
-    path = path_product(n_h, n_x).map(problem.horizon)(G, by_stage(problem, w)[0])
-    return ca.densify(ca.vertcat(_bounds(problem).T @ w, ca.vec(path)))
-
-
-def _transposed_rows(problem: OCP, G: ca.MX, forces: ca.MX) -> ca.MX:
-    """rows' forces (n_w,)."""
-    bounds, path = _split(problem, forces)
-    pushed = _bounds(problem) @ bounds
-    if problem.n_path:
-        force, G_t = ca.MX.sym("force", problem.n_path), ca.MX.sym("G", problem.n_path, G.size2() // problem.horizon)
-        pull = ca.Function("pull", [G_t, force], [(force.T @ G_t).T]).map(problem.horizon)
-        pushed = pushed + _flat(problem, pull(G, path), ca.MX.zeros(problem.n_states))
-    return ca.densify(pushed)
-
-
-def _stagewise(problem: OCP, F: ca.MX, H: ca.MX, x: ca.MX, costates: ca.MX) -> ca.MX:
-    """H_t x_t + F_t' lambda_t (n_x, T)."""
-    n_s, n_x = problem.n_states, problem.n_states + problem.n_actions
-    F_t, H_t, x_t, costate = (
-        ca.MX.sym("F", n_s, n_x),
-        ca.MX.sym("H", n_x, n_x),
-        ca.MX.sym("x", n_x),
-        ca.MX.sym("lambda", n_s),
+    given, own = factor_symbols(problem), matrices(problem)
+    F, G, H, last = own
+    stiffness, sigma, active, scale = (ca.MX.sym(name, n_rows(problem)) for name in ("S", "sigma", "active", "scale"))
+    right, point, off = (
+        _Triple.symbols(problem, *names)
+        for names in (("r", "d", "c"), ("w", "lambda", "mu"), ("r_off", "d_off", "c_off"))
     )
-    stage = ca.Function("balance", [F_t, H_t, x_t, costate], [ca.mac(costate.T, F_t, x_t.T @ H_t).T])
-    return stage.map(problem.horizon)(F, H, x, ca.reshape(costates, n_s, problem.horizon))
+    point_after = point.plus(_correction(problem, F, G, given, stiffness, off))
+    left = _left(problem, Stored(problem, *own), sigma, active, right, point_after)
+    norms = ca.vertcat(_norms(left, scale), ca.norm_2(point_after.w))
+    inputs = [F, G, *given, stiffness, H, last, sigma, active, scale, *right, *point, *off]
+    return ca.Function("refine", inputs, [ca.densify(x) for x in (*point_after, *left, norms)])
 
 
-def _moved(problem: OCP, F: ca.MX, x: ca.MX) -> ca.MX:
-    """F_t x_t (T n_s,)."""
-    n_s, n_x = problem.n_states, problem.n_states + problem.n_actions
-    return ca.vec(path_product(n_s, n_x).map(problem.horizon)(F, x))
+@lru_cache(maxsize=64)
+def begin(problem: OCP) -> ca.Function:
+    """The arguments of `factor`, r' and (r, d, c) -> its outputs, then those of three steps of `refine` from zero on.
+
+    Two are for (r', 0, 0), one after the other, and one for (r, d, c).
+    """
+    given = factor(problem).mx_in()
+    F, G, H, last, sigma, active, *_ = given
+    slope, newton = ca.MX.sym("slope", transcribe(problem).lower.size), _Triple.symbols(problem, "r", "d", "c")
+    found = factor(problem).call(given)
+    P, W, Y, pivots, stiffness, scale, *_ = found
+    nothing = _Triple(*(ca.MX.zeros(part.shape) for part in newton))
+
+    def step(right: _Triple, at: list[ca.MX]) -> list[ca.MX]:
+        system = [F, G, P, W, Y, pivots, stiffness, H, last, sigma, active, scale]
+        return list(refine(problem).call([*system, *right, *at]))
+
+    adjoint = nothing._replace(w=slope)
+    one = step(adjoint, [*nothing, *adjoint])
+    outputs = [*found, *one, *step(adjoint, one[:6]), *step(newton, [*nothing, *newton])]
+    return ca.Function("begin", [*given, slope, *newton], outputs)
 
 
-def _flat(problem: OCP, x: ca.MX, last: ca.MX) -> ca.MX:
-    """w (n_w,) of x_t (n_x, T), of which s_0 is dropped, and s_T (n_s,)."""
-    n_s = problem.n_states
-    return ca.vertcat(ca.vec(x[:n_s, 1:]), last, ca.vec(x[n_s:, :]))
+@lru_cache(maxsize=64)
+def follow(problem: OCP) -> ca.Function:
+    """Two such steps towards the solution of the system at a point nearby, whose matrices are never formed.
+
+    (F, G, P, W, Y, pivots, S, the arguments of `stages.first` at that point, tau, active (0 or 1), 1/units, r, w,
+    lambda, mu) -> w, lambda, mu after both steps, and |r|, |d|, |c / units|, |w| after the first one, and the lengths
+    of both steps in w.
+    """
+    given = factor_symbols(problem)
+    F, G, *_ = matrices(problem)
+    at, tau = lagrangian_symbols(problem), ca.MX.sym("tau")
+    stiffness, active, scale = (ca.MX.sym(name, n_rows(problem)) for name in ("S", "active", "scale"))
+    right, begin = _Triple.symbols(problem, "r", "d", "c"), _Triple.symbols(problem, "w", "lambda", "mu")
+    right = _Triple(right.w, ca.MX.zeros(right.costates.shape), ca.MX.zeros(right.forces.shape))
+    operator = Lagrangian(problem, *at)
+    sigma = _smoothing(problem, operator, tau)
+
+    def left(point: _Triple) -> _Triple:
+        return _left(problem, operator, sigma, active, right, point)
+
+    one = _correction(problem, F, G, given, stiffness, left(begin))
+    middle = begin.plus(one)
+    off = left(middle)
+    other = _correction(problem, F, G, given, stiffness, off)
+    norms = ca.vertcat(_norms(off, scale), *(ca.norm_2(part.w) for part in (middle, one, other)))
+    inputs = [F, G, *given, stiffness, *at, tau, active, scale, right.w, *begin]
+    return ca.Function("follow", inputs, [ca.densify(x) for x in (*middle.plus(other), norms)])
 
 
-def _back(problem: OCP, F: ca.MX, factors: list[ca.MX], right: ca.MX, defects: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """w and lambda of the factorised system for (r, d)."""
+def _correction(problem: OCP, F: ca.MX, G: ca.MX, given: list[ca.MX], stiffness: ca.MX, off: _Triple) -> _Triple:
+    """dw, dlambda and dmu of one step."""
     n_s, steps = problem.n_states, problem.horizon
-    q, last = by_stage(problem, -right)
-    d = ca.reshape(-defects, n_s, steps)
-    states, actions, costates = substitute(problem)(F, *factors, q, last, d, ca.MX.zeros(n_s))
-    return ca.vertcat(ca.vec(states[:, 1:]), ca.vec(actions)), ca.vec(costates)
+    q, last = by_stage(problem, -off.w - transposed_rows(problem, G, stiffness * off.forces))
+    d = ca.reshape(-off.costates, n_s, steps)
+    states, actions, costates = substitute(problem)(F, *given, q, last, d, ca.MX.zeros(n_s))
+    dw = ca.vertcat(ca.vec(states[:, 1:]), ca.vec(actions))
+    stored = Stored(problem, F, G, ca.MX(0, 0), ca.MX(0, 0))
+    return _Triple(dw, ca.vec(costates), stiffness * (rows(problem, stored, dw) - off.forces))
 
 
-def _back_actions(problem: OCP, F: ca.MX, factors: list[ca.MX], v: ca.MX) -> ca.MX:
-    n = problem.horizon * problem.n_states
-    return _back(problem, F, factors, ca.vertcat(ca.MX.zeros(n), v), ca.MX.zeros(n))[0]
+def _left(problem: OCP, operator: Operator, sigma: ca.MX, active: ca.MX, right: _Triple, point: _Triple) -> _Triple:
+    """What a point leaves of the right-hand sides."""
+    n_s, steps = problem.n_states, problem.horizon
+    x, end = by_stage(problem, point.w)
+    values = rows(problem, operator, point.w)
+    bounds, path = split(problem, sigma * values + point.forces)
+    product, last = operator.balance(x, end, ca.reshape(point.costates, n_s, steps), path)
+    balance = flat(problem, product, last) + bound_columns(problem) @ bounds
+    balance[: n_s * steps] -= point.costates
+    arrived = ca.vec(operator.moved(x)) - point.w[: n_s * steps]
+    return _Triple(right.w - balance, right.costates - arrived, active * (right.forces - values))
 
 
-ALL = (factor, refine, back, condensed_spectrum, inverse_spectrum, dependence_spectrum, row_variances)
+def _smoothing(problem: OCP, at: Lagrangian, tau: ca.MX) -> ca.MX:
+    """tau / slack^2 (n_ineq,) of inequalities that are no equalities, zero for those and without smoothing."""
+    path, w = at.path_values, ca.vertcat(ca.vec(at.states[:, 1:]), ca.vec(at.actions))
+    bounds = transcribe(problem).bounded
+    room = ca.DM(bounds.signs) * (ca.DM(bounds.limits) - w[bounds.entries.tolist()])
+    slack = ca.densify(ca.vertcat(room, -ca.vec(path)))
+    smoothed = ca.DM(np.concatenate([~bounds.equal, np.ones(path.numel(), bool)]).astype(float))
+    return ca.if_else(smoothed * tau > 0, tau / slack**2, 0)
+
+
+def _norms(left: _Triple, scale: ca.MX) -> ca.MX:
+    """|r|, |d|, |c / units|."""
+    return ca.vertcat(ca.norm_2(left.w), ca.norm_2(left.costates), ca.norm_2(left.forces * scale))
+
+
+ALL = (factor, refine, begin, follow, inverse_spectrum, dependence_spectrum, row_variances)
 """To be compiled together: they have the recursion in common."""

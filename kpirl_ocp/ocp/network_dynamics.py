@@ -73,7 +73,7 @@ class NetworkDynamics:
         moved, _ = push(self.mlp, slopes, ca.vertcat(ds, du))
         by_s, by_u = self._pull(slopes, lam)
         J = jacobian(self.mlp, slopes)
-        F = ca.vertcat(J + self._linear[: self.n_z, :], self._linear[self.n_z :, :])
+        F = ca.vertcat(J + self.linear[: self.n_z, :], self.linear[self.n_z :, :])
         return DynamicsDerivatives(
             jvp=ca.Function("jvp", [s, u, psi, ds, du], [self._next(ds, moved, du)]),
             vjp=ca.Function("vjp", [s, u, psi, lam], [by_s, by_u, ca.MX.zeros(n_parameters)]),
@@ -103,8 +103,8 @@ class NetworkDynamics:
         value = ca.MX.sym("f", self.n_states)
         symbols = [None if part is None else ca.MX.sym("part", part.size1()) for part in parts]
         J, H = second(self.mlp, symbols)
-        F = ca.MX(ca.densify(self._linear))
-        F[: self.n_z, :] = J + self._linear[: self.n_z, :]
+        F = ca.MX(ca.densify(self.linear))
+        F[: self.n_z, :] = J + self.linear[: self.n_z, :]
         return ca.Function("second", [value, *(x for x in symbols if x is not None)], [value, F, H])
 
     def _columns(self, steps: int) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
@@ -124,8 +124,8 @@ class NetworkDynamics:
         return self._shift(lam) + pulled[: self.n_states, :], theta + pulled[self.n_states :, :]
 
     @property
-    def _linear(self) -> ca.DM:
-        """(f_s, f_u) without the network."""
+    def linear(self) -> ca.DM:
+        """(f_s, f_u) without the network, sparse."""
         by_s = ca.DM(self._shift(ca.DM.eye(self.n_states)))
         by_u = ca.vertcat(ca.DM(self.n_z, self.n_joints), self._displacement(ca.DM.eye(self.n_joints)))
         return ca.horzcat(by_s, by_u)

@@ -16,7 +16,7 @@ import numpy as np
 from kpirl_ocp.ocp.calls import call
 from kpirl_ocp.ocp.factorisation import Factorisation
 from kpirl_ocp.ocp.influence import pull, push
-from kpirl_ocp.ocp.sensitivity import Instance, KKTSystem, linearise, primal_dual
+from kpirl_ocp.ocp.sensitivity import Instance, KKTSystem, PrimalDual, linearise, primal_dual
 from kpirl_ocp.types import Array, Solution, Trajectory
 
 
@@ -45,29 +45,39 @@ class Response:
     @classmethod
     def at(cls, instance: Instance, solution: Solution) -> Response:
         """At a solution; whether it exists is for a certificate to say (`kpirl_ocp.irl.implicit`)."""
-        system = linearise(instance, *primal_dual(instance, solution))
+        system = linearise(instance, primal_dual(instance, solution))
         return cls(system, Factorisation(system))
 
     def pull(self, slope: Array, slope_s0: Array | None = None) -> Gradients:
         """Gradients of a function with gradient `slope` (n_w,) by w, and `slope_s0` (n_s,) by s_0 directly."""
-        system, instance = self.system, self.system.instance
-        n_s, steps, n_h = len(system.H_last), len(system.H), instance.problem.n_path
-        nothing = np.zeros(len(system.defects)), np.zeros(len(system.active))
-        w, costates, forces, residual = self.factors.solve(slope, *nothing)
-        forces = instance.path_forces(forces + system.stiffness * system.times_rows(w))
-        x, last = system.by_stage(w)
-        point = (*instance.at(system.point.w), system.point.costates, instance.path_forces(system.point.forces))
-        by_psi, by_context = call(instance.problem, pull)(*point, x.ravel(), last, costates, forces)
-        by_start = system.H[0] @ x[0] + system.F[0] @ costates[:n_s] + system.G[0] @ forces.reshape(steps, n_h)[0]
+        adjoint, residual = self.factors.adjoint(slope)
+        system, n_s = self.system, len(self.system.H_last)
+        by_psi, by_context = self.by_parameters(adjoint)
+        by_start = system.H[0] @ system.by_stage(adjoint.w)[0][0] + system.F[0] @ adjoint.costates[:n_s]
+        by_start += system.G[0] @ self._path_forces(adjoint).reshape(len(system.H), -1)[0]
         direct = np.zeros(n_s) if slope_s0 is None else slope_s0
-        return Gradients(-by_psi, direct - by_start[:n_s], -by_context, w, residual)
+        return Gradients(by_psi, direct - by_start[:n_s], by_context, adjoint.w, residual)
+
+    def by_parameters(self, adjoint: PrimalDual) -> tuple[Array, Array]:
+        """Gradients by psi and by the context, of what `Factorisation.adjoint` gives."""
+        system, problem = self.system, self.system.instance.problem
+        x, last = system.by_stage(adjoint.w)
+        at = *system.instance.arguments(system.point), x, last, adjoint.costates, self._path_forces(adjoint)
+        by_psi, by_context = call(problem, pull)(*at)
+        return -by_psi, -by_context
+
+    def _path_forces(self, adjoint: PrimalDual) -> Array:
+        """Changes of the path constraints' forces (T n_h,), of the smoothed ones too."""
+        system, instance = self.system, self.system.instance
+        if not instance.barrier > 0:
+            return instance.path_forces(adjoint.forces)
+        return instance.path_forces(adjoint.forces + system.stiffness * system.times_rows(adjoint.w))
 
     def push(self, dpsi: Array, ds0: Array, dcontext: Array) -> Trajectory:
         """Change of states (T+1, n_s) and actions (T, n_u) when psi, s_0 and the context move."""
         system, instance = self.system, self.system.instance
         problem, n_s = instance.problem, len(system.H_last)
-        point = (*instance.at(system.point.w), system.point.costates, instance.path_forces(system.point.forces))
-        dr, dr_last, ddefects, dpath = call(problem, push)(*point, dpsi, dcontext)
+        dr, dr_last, ddefects, dpath = call(problem, push)(*instance.arguments(system.point), dpsi, dcontext)
         x = np.zeros((len(system.H), system.H.shape[1]))
         x[0, :n_s] = ds0
         dr = dr.reshape(x.shape) + (system.H @ x[:, :, None])[:, :, 0]
@@ -75,6 +85,6 @@ class Response:
         dpath = dpath + (x[:, None, :] @ system.G).ravel()
         values = np.concatenate([np.zeros(len(system.active) - len(dpath)), dpath])  # change of all inequalities
         right = -system.flat(dr, dr_last) - system.times_transposed_rows(system.stiffness * values)
-        w = self.factors.solve(right, -ddefects, np.where(system.active, -values, 0.0))[0]
+        w = self.factors.solve(right, -ddefects, np.where(system.active, -values, 0.0))[0].w
         states = np.concatenate([ds0, w[: len(ddefects)]]).reshape(problem.horizon + 1, n_s)
         return Trajectory(states, w[len(ddefects) :].reshape(problem.horizon, -1))

@@ -19,7 +19,7 @@ import numpy as np
 from kpirl_ocp.ocp.calls import call
 from kpirl_ocp.ocp.kkt import NLP, Inequalities, bounded_entries, pack, transcribe
 from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.stages import by_time, first, second, values
+from kpirl_ocp.ocp.stages import by_time, second
 from kpirl_ocp.types import Array, Mask, Solution
 
 
@@ -43,14 +43,13 @@ class Instance:
         split = self.problem.horizon * self.problem.n_states
         return np.concatenate([self.s0, w[:split]]), w[split:], self.psi, self.context
 
+    def arguments(self, point: PrimalDual) -> tuple[Array, ...]:
+        """The arguments (S, U, psi, c, Lambda, M), flat, of functions with a Lagrangian."""
+        return *self.at(point.w), point.costates, self.path_forces(point.forces)
+
     def path_forces(self, forces: Array) -> Array:
         """The entries (T n_h,) of the path constraints in a list over all inequalities."""
         return forces[len(forces) - self.problem.horizon * self.problem.n_path :]
-
-    def gradient(self, point: PrimalDual) -> Array:
-        """Gradient (n_w,) of J + lambda.defects + mu.path."""
-        outputs = call(self.problem, first)(*self.at(point.w), point.costates, self.path_forces(point.forces))
-        return by_time(self.problem, outputs[5], outputs[6])[self.problem.n_states :]
 
 
 @dataclass(frozen=True)
@@ -104,6 +103,23 @@ class KKTSystem:
         bounds, path = self.active[: len(entries)], self.active[len(entries) :]
         return not path.any() and not (entries[bounds] < len(self.defects)).any()
 
+    @cached_property
+    def pushing(self) -> Array:
+        """Multipliers (n_ineq,) of active and of smoothed inequalities, the latter tau / slack; zero for the others."""
+        forces = np.where(self.active, self.point.forces, 0.0)
+        if self.instance.barrier > 0:
+            with np.errstate(divide="ignore"):
+                forces = np.where(self.equal, forces, self.instance.barrier / self.slack)
+        return forces
+
+    @cached_property
+    def newton(self) -> tuple[Array, Array, Array]:
+        """The right-hand side (r_w, r_d, r_c) of a Newton step from w, the costates and `pushing`."""
+        missing = self.pushing.copy()  # the gradient holds the path constraints' forces
+        self.instance.path_forces(missing)[:] -= self.instance.path_forces(self.point.forces)
+        unbalanced = self.gradient + self.times_transposed_rows(missing)
+        return -unbalanced, -self.defects, np.where(self.active, self.slack, 0.0)
+
     def times_rows(self, w: Array) -> Array:
         """rows w (n_ineq,)."""
         entries, signs = bounded_entries(self.instance.problem)
@@ -152,25 +168,17 @@ class KKTSystem:
         return product
 
 
-def primal_dual(instance: Instance, solution: Solution) -> tuple[PrimalDual, Mask]:
-    """The point of a solution, and its active inequalities: multiplier above slack, or an equality.
-
-    Comparing the two, rather than either with a threshold, follows mu * slack -> 0: an inactive row with a tiny
-    multiplier stays inactive, an active row with a tiny slack stays active. In badly chosen units the guess may be
-    wrong; `kpirl_ocp.ocp.probe` finds out.
-    """
+def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
+    """The point of a solution."""
     w = pack(solution.trajectory)
-    rows = Inequalities.at(instance.nlp, w, call(instance.problem, values)(*instance.at(w))[2])
-    forces = rows.forces(solution.multipliers, solution.barrier)
-    duplicate = rows.equal & (np.arange(len(rows.equal)) >= len(rows.lower))  # the upper side of an equality
-    active = rows.equal if solution.barrier > 0 else (forces > rows.slack) | rows.equal
-    return PrimalDual(w, solution.multipliers.dynamics.ravel(), forces), active & ~duplicate
+    rows = Inequalities.at(instance.nlp, w, np.zeros(0))  # of path constraints nothing but the multipliers is asked
+    return PrimalDual(w, solution.multipliers.dynamics.ravel(), rows.forces(solution.multipliers, solution.barrier))
 
 
-def linearise(instance: Instance, point: PrimalDual, active: Mask) -> KKTSystem:
-    """Evaluate the KKT system at a point for a given active set."""
-    problem, mu = instance.problem, instance.path_forces(point.forces)
-    outputs = call(problem, second)(*instance.at(point.w), point.costates, mu)
+def linearise(instance: Instance, point: PrimalDual, active: Mask | None = None) -> KKTSystem:
+    """Evaluate the KKT system at a point for an active set, by default the one that the point suggests."""
+    problem = instance.problem
+    outputs = call(problem, second)(*instance.arguments(point))
     _, defects, path, _, _, r, r_last, F, G, H, H_last = outputs
     steps, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
     G = G.reshape(steps, n_x, problem.n_path)
@@ -189,10 +197,23 @@ def linearise(instance: Instance, point: PrimalDual, active: Mask) -> KKTSystem:
         gradient=by_time(problem, r, r_last)[n_s:],
         defects=defects,
         slack=rows.slack,
-        active=active,
+        active=_active(instance, rows, point.forces) if active is None else active,
         equal=rows.equal,
         stiffness=stiffness,
     )
+
+
+def _active(instance: Instance, rows: Inequalities, forces: Array) -> Mask:
+    """The active inequalities: multiplier above slack, or an equality.
+
+    Comparing the two, rather than either with a threshold, follows mu * slack -> 0: an inactive row with a tiny
+    multiplier stays inactive, an active row with a tiny slack stays active. In badly chosen units the guess may be
+    wrong; `kpirl_ocp.ocp.probe` finds out.
+    """
+    active = rows.equal.copy() if instance.barrier > 0 else (forces > rows.slack) | rows.equal
+    upper = slice(rows.bounds.n_lower, None)
+    active[upper] &= ~rows.equal[upper]  # an equality is listed with its lower bound, and here again
+    return active
 
 
 def scatter(active: Mask, values: Array) -> Array:

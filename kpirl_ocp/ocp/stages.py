@@ -26,7 +26,7 @@ from kpirl_ocp.types import Array
 @lru_cache(maxsize=64)
 def values(problem: OCP) -> ca.Function:
     """(S (n_s, T+1), U (n_u, T), psi, c) -> J, defects f - s_next (n_s, T), path constraints h (n_h, T)."""
-    (states, actions, psi, context), _ = point, _ = _symbols(problem)
+    (states, actions, psi, context), _ = point, _ = symbols(problem)
     cost = TrajectoryCost(problem, 1)
     arrived = dynamics_alone(problem).map(problem.horizon)(states[:, :-1], actions, psi_by_stage(problem, psi))
     total = cost.first(states, actions, cost.coefficients(psi, context))[0]
@@ -37,7 +37,7 @@ def values(problem: OCP) -> ca.Function:
 @lru_cache(maxsize=64)
 def first(problem: OCP) -> ca.Function:
     """(S, U, psi, c, Lambda (n_s, T), M (n_h, T)) -> `values`, gradient of J (n_x, T) and (n_s,), r and r_T (n_s,)."""
-    point, dual = _symbols(problem)
+    point, dual = symbols(problem)
     (states, actions, psi, context), (costates, forces), steps = point, dual, problem.horizon
     cost = TrajectoryCost(problem, 1)
     total, by_states, by_actions = cost.first(states, actions, cost.coefficients(psi, context))
@@ -45,7 +45,7 @@ def first(problem: OCP) -> ca.Function:
     arrived, *pulled = problem.dynamics_derivatives.first(steps)(*through)
     pulled, path = ca.vertcat(*pulled), problem.path(*point)
     if problem.path_constraint is not None:
-        pulled += _stage_gradient(problem.path_constraint).map(steps)(*_arguments(problem, *point), forces)
+        pulled += stage_gradient(problem.path_constraint).map(steps)(*stage_arguments(problem, *point), forces)
     slope, last_slope = ca.vertcat(by_states[:, :steps], by_actions), by_states[:, steps]
     lagrangian = _lagrangian(problem, slope, last_slope, pulled, costates)
     outputs = [total, arrived - states[:, 1:], path, slope, last_slope, *lagrangian]
@@ -55,12 +55,12 @@ def first(problem: OCP) -> ca.Function:
 @lru_cache(maxsize=64)
 def second(problem: OCP) -> ca.Function:
     """The arguments of `first` -> its outputs, then F, G, H and H_T (n_s, n_s)."""
-    point, dual = _symbols(problem)
+    point, dual = symbols(problem)
     (states, actions, psi, context), (costates, forces), steps = point, dual, problem.horizon
     theta = TrajectoryCost(problem, 1).coefficients(psi, context)
     through = [states[:, :-1], actions, psi_by_stage(problem, psi), costates]
     prepared = problem.dynamics_derivatives.second.prepare(steps).call(through, True, False)
-    arguments = _arguments(problem, *point) if problem.path_constraint is not None else through[:2]
+    arguments = stage_arguments(problem, *point) if problem.path_constraint is not None else through[:2]
     value, slope, arrived, path, pulled, F, G, H = _stage_second(problem).map(steps)(
         *arguments, theta.stages, costates, forces, *prepared
     )
@@ -77,7 +77,7 @@ def by_time(problem: OCP, x: Array, last: Array) -> Array:
     return np.concatenate([columns[:, : problem.n_states].ravel(), last, columns[:, problem.n_states :].ravel()])
 
 
-def _symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX]]:
+def symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX]]:
     """S, U, psi, c and Lambda, M."""
     steps, n_s = problem.horizon, problem.n_states
     point = [
@@ -89,7 +89,7 @@ def _symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX]]:
     return point, [ca.MX.sym("Lambda", n_s, steps), ca.MX.sym("M", problem.n_path, steps)]
 
 
-def _arguments(problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX) -> list[ca.MX]:
+def stage_arguments(problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, context: ca.MX) -> list[ca.MX]:
     """s, u, psi, c and d of all stages, as columns."""
     schedule = ca.DM(np.asarray(problem.schedule)).T
     wide = [_repeat(problem, value) for value in (psi, context)]
@@ -151,28 +151,28 @@ def _plus_sparse(dense: ca.MX, sparse: ca.MX) -> ca.MX:
     return total
 
 
-def _pairing(function: ca.Function) -> tuple[list[ca.SX | ca.MX], ca.SX | ca.MX, ca.SX | ca.MX]:
+def pairing(function: ca.Function) -> tuple[list[ca.SX | ca.MX], ca.SX | ca.MX, ca.SX | ca.MX]:
     """Inputs of g(s, u, psi, c, d), weights mu, and g; of one kind, SX where the function is."""
     kind = ca.SX if function.is_a("SXFunction") else ca.MX
     inputs = [kind.sym(name, function.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d"))]
     return inputs, kind.sym("mu", function.size1_out(0)), function(*inputs)
 
 
-def _stage_gradient(function: ca.Function) -> ca.Function:
+def stage_gradient(function: ca.Function) -> ca.Function:
     """(s, u, psi, c, d, mu) -> gradient of mu . g with respect to (s, u)."""
-    inputs, mu, value = _pairing(function)
+    inputs, mu, value = pairing(function)
     return ca.Function("gradient", [*inputs, mu], [ca.densify(_gradient(ca.dot(mu, value), inputs))])
 
 
 def _stage_jacobian(function: ca.Function) -> ca.Function:
     """(s, u, psi, c, d) -> Jacobian of g with respect to (s, u)."""
-    inputs, _, value = _pairing(function)
+    inputs, _, value = pairing(function)
     return ca.Function("jacobian", inputs, [ca.densify(ca.horzcat(*(ca.jacobian(value, x) for x in inputs[:2])))])
 
 
 def _stage_hessian(function: ca.Function) -> ca.Function:
     """(s, u, psi, c, d, mu) -> second derivative of mu . g with respect to (s, u)."""
-    inputs, mu, value = _pairing(function)
+    inputs, mu, value = pairing(function)
     slope = _gradient(ca.dot(mu, value), inputs)
     hessian = ca.horzcat(*(ca.jacobian(slope, x) for x in inputs[:2]))
     return ca.Function("hessian", [*inputs, mu], [ca.densify(hessian)])
