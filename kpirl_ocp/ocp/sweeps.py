@@ -155,14 +155,18 @@ def along(
 ) -> list[ca.MX]:
     """Carry the first output of a stage to its first input, from the first to the last block or from the last on.
 
-    Inputs and outputs (n, T B) are ordered by time either way. What `mapaccum` does, but with a single copy. Many steps
+    Inputs and outputs (n, T B) are ordered by time either way; an input (n, B) is the same at every step. What `mapaccum` does, but with a single copy. Many steps
     are taken in groups, with a copy more: compilers take more than twice the time for a function of twice the length.
     """
     size = 1 if steps <= _ALONE else math.isqrt(steps)
     ends = [*range(0, steps, size), steps]
     lengths = [end - begin for begin, end in pairwise(ends)]
-    groups = {length: stage if size == 1 else _group(stage, length, backwards) for length in lengths}
-    blocks = [ca.horzsplit(array, [end * (array.size2() // steps) for end in ends]) for array in inputs]
+    same = [array.size2() == start.size2() for array in inputs]
+    groups = {length: stage if size == 1 else _group(stage, length, backwards, same) for length in lengths}
+    blocks = [
+        [array] * len(lengths) if alike else ca.horzsplit(array, [end * (array.size2() // steps) for end in ends])
+        for array, alike in zip(inputs, same, strict=True)
+    ]
     rows: list[list[ca.MX]] = [[] for _ in lengths]
     for i in reversed(range(len(lengths))) if backwards else range(len(lengths)):
         outputs = groups[lengths[i]].call([start, *(block[i] for block in blocks)])
@@ -170,10 +174,11 @@ def along(
     return [ca.horzcat(*column) for column in zip(*rows, strict=True)]
 
 
-def _group(stage: ca.Function, length: int, backwards: bool) -> ca.Function:
-    """Some steps: (carried, inputs side by side) -> what is carried on, and all outputs side by side."""
+def _group(stage: ca.Function, length: int, backwards: bool, same: Sequence[bool]) -> ca.Function:
+    """Some steps: (carried, inputs side by side, or the same for all) -> what is carried on, and all outputs side by side."""
     start, *inputs = stage.mx_in()
-    wide = [ca.MX.sym("x", array.size1(), array.size2() * length) for array in inputs]
+    widths = [array.size2() * (1 if alike else length) for array, alike in zip(inputs, same, strict=True)]
+    wide = [ca.MX.sym("x", array.size1(), width) for array, width in zip(inputs, widths, strict=True)]
     outputs = along(stage, start, wide, length, backwards)
     width = start.size2()
     carried = outputs[0][:, :width] if backwards else outputs[0][:, -width:]
