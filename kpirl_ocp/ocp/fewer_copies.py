@@ -1,10 +1,11 @@
-"""Generated C with fewer copies: what CasADi's code generator moves in memory although it need not.
+"""Generated C with fewer copies: what CasADi's code generator moves through memory although it need not.
 
-    product    w = start; w += x y     becomes  w = start + x y, one pass over w; zeros are not even written
-    output     w = ..; res[k] = w      becomes  res[k] = .., with w another name for the place that the caller wants
+    product   w = start; w += x y     becomes  w = start + x y    one pass over w; zeros are not even written
+    output    w = ...; res[k] = w     becomes  res[k] = ...       w is another name for the place that the caller wants
 
-Both concern one function at a time. The second holds because a caller within the same file never hands over one place
-as argument and as result; for functions that others call, nothing is assumed.
+The results are the same to the last bit. Each is a matter of one function. The second needs results that overlap
+neither each other nor the arguments: CasADi finds places for the results of a call before it frees its arguments. Who
+calls the functions that a file is made for is not known, so these are left alone.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ import re
 _FUNCTION = re.compile(r"^static int (casadi_f\d+)\(const casadi_real\*\* arg.*?^}\n", re.MULTILINE | re.DOTALL)
 _ENTRY = re.compile(r"return (casadi_f\d+)\(arg, res, iw, w, mem\);")
 _START = re.compile(r"^ *casadi_(?:clear\((w\d+), \d+|copy\((\w+), \d+, (w\d+))\);\n", re.MULTILINE)
-_OUTPUT = re.compile(r"^  (?:if \(res\[\d+\]\) )?casadi_copy\((w\d+), \d+, res\[(\d+)\](\+\d+)?\);\n", re.MULTILINE)
+_OUTPUT = re.compile(r"^ *(?:if \(res\[\d+\]\) )?casadi_copy\((w\d+), \d+, res\[(\d+)\](\+\d+)?\);\n", re.MULTILINE)
 
 
 def with_fewer_copies(source: str) -> str:
-    """The same functions, with the same results to the last bit."""
+    """The same functions; products call `casadi_mtimes_from` of `kpirl_ocp.ocp.kernels`."""
     entries = set(_ENTRY.findall(source))
 
     def shorter(function: re.Match[str]) -> str:
@@ -29,25 +30,24 @@ def with_fewer_copies(source: str) -> str:
 
 
 def _products(text: str) -> str:
-    """Products that begin with what was copied or cleared for them."""
+    """Products into an array that was copied right before, or cleared and not touched since."""
     for found in reversed(list(_START.finditer(text))):
         name, start = found[1] or found[3], found[2] or "0"
         before, after = text[: found.start()], text[found.end() :]
         use = re.search(rf"^.*\b{name}\b.*\n", after, re.MULTILINE)
         product = use and re.fullmatch(rf" *casadi_mtimes_dense\(((?:(?!\b{name}\b).)*), {name}, 0\);\n", use[0])
-        if use and product and (start == "0" or use.start() == 0):
+        if use and product and (found[1] or use.start() == 0):
             fused = f"  casadi_mtimes_from({product[1]}, {start}, {name});\n"
             text = before + after[: use.start()] + fused + after[use.end() :]
     return text
 
 
 def _outputs(text: str) -> str:
-    """Arrays of the work vector that are copied to an output once and not used after that."""
+    """Arrays in the work vector that end as an output: not mentioned again after they were copied there."""
     for found in list(_OUTPUT.finditer(text)):
-        name, index, offset = found[1], found[2], found[3] or ""
-        place = rf"\*{name}=(w\+\d+)"
-        if len(re.findall(rf"\b{name}\b", text[text.index(found[0]) :])) > 1 or not re.search(place, text):
-            continue
-        text = text.replace(found[0], "")
-        text = re.sub(place, rf"*{name}=res[{index}] ? res[{index}]{offset} : \1", text, count=1)
+        name, place = found[1], rf"res[{found[2]}] ? res[{found[2]}]{found[3] or ''}"
+        before, after = text.split(found[0], maxsplit=1)
+        before, renamed = re.subn(rf"\*{name}=(w\+\d+)", rf"*{name}={place} : \1", before)
+        if renamed == 1 and not re.search(rf"\b{name}\b", after):
+            text = before + after
     return text

@@ -20,7 +20,7 @@ _KERNEL = r"""
 #define TILE_LANES 4
 #define TILE_VECTORS 2
 #endif
-#define UNROLL _Pragma("GCC unroll 16")
+#define UNROLL _Pragma("GCC unroll 8")
 /* Unaligned vectors of doubles; a compiler without that width splits them. */
 typedef casadi_real tile_vector __attribute__((vector_size(TILE_LANES * sizeof(casadi_real)), aligned(8), may_alias));
 
@@ -29,7 +29,7 @@ typedef casadi_real tile_vector __attribute__((vector_size(TILE_LANES * sizeof(c
 static inline __attribute__((always_inline)) void casadi_tile(const int vectors, const int columns, const int chains,
     const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x, const casadi_real* y, const casadi_real* start,
     casadi_real* z, casadi_int first, casadi_int end) {
-  tile_vector sum[10][8];
+  tile_vector sum[5][8];
   casadi_int row[8], k = 0;
   int v, c, p;
   UNROLL for (v = 0; v < vectors; ++v) row[v] = v < vectors - 1 ? first + v * TILE_LANES : end - TILE_LANES;
@@ -106,7 +106,6 @@ static void casadi_mtimes_from(const casadi_real* x, casadi_int nrow_x, casadi_i
   if (nrow_x >= TILE_LANES) {
 #define PANELS(n, most) for (; i + n <= ncol_y; i += n) \
       casadi_panel(n, most, x, nrow_x, ncol_x, y + i * ncol_x, start ? start + i * nrow_x : 0, z + i * nrow_x);
-    if (nrow_x <= TILE_LANES) PANELS(10, 1)
     PANELS(5, TILE_VECTORS)
     PANELS(4, TILE_VECTORS)
     PANELS(3, TILE_VECTORS)
@@ -201,7 +200,10 @@ _TANH_LOOP = re.compile(r"for \(i=0, rr=([^,]+), cs=([^;]+); i<(\d+); \+\+i\) \*
 
 
 def with_fast_kernels(source: str) -> str:
-    """Generated C with its dense matrix product, copies and tanh of arrays replaced; what is not in it is not added."""
+    """Generated C with its dense matrix product, copies and tanh of arrays replaced, and with fewer copies.
+
+    What is not in it is not added.
+    """
     for name, body in _BODIES.items():
         start = source.find(f"void {name}(")
         if start >= 0:

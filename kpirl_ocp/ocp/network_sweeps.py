@@ -62,7 +62,7 @@ class NetworkSweeps:
         return self._backwards(self._adjoint_tangent, psi, Q, *inputs)
 
     def _backwards(self, stage: ca.Function, psi: ca.MX, Q: ca.MX, *inputs: ca.MX) -> Adjoint:
-        """Accumulate a stage (lambda_z, q_z, ...) -> lambda_z, `_shares` of the adjoint of a_1; then add up the joints'."""
+        """Accumulate a stage (lambda_z, q_z, ...) -> lambda_z, the adjoint of a_1; then sum up for the joints."""
         B, n_q = self.columns, self.dynamics.n_joints
         by_z, by_theta, by_velocity = self._parts(Q)
         swept, *shares = along(stage, by_z[:, -B:], [by_z[:, :-B], *inputs], self.horizon, backwards=True)
@@ -78,7 +78,7 @@ class NetworkSweeps:
         )
 
     def _ahead(self, theta: ca.MX, actions: ca.MX, constant: ca.MX | None = None) -> list[ca.MX]:
-        """What a stage is given to know e_t: the joints (theta_t, u_t) and the constant, or e_t itself for all t < T."""
+        """What stages t < T know e_t by: the joints (theta_t, u_t) and the constant, or e_t itself."""
         joints = _stack(theta[:, : actions.size2()], actions)
         if self._wide:
             return [joints] if constant is None else [joints, constant]
@@ -191,7 +191,7 @@ class NetworkSweeps:
         return z if self.dynamics.residual else 0.0
 
 
-_WIDE = 5  # so many trajectories fill the tiles of a matrix product by themselves
+_WIDE = 4  # so many trajectories fill the tiles of a matrix product by themselves
 
 
 def _add(rows: int, columns: int) -> ca.Function:
