@@ -106,7 +106,7 @@ def passes(sweeps, n_psi, horizon, columns):
     return ca.Function("passes", [s0, psi, U, dU, Q, dQ], [at.states, dS, *first[:3], *second[:3]])
 
 
-@pytest.mark.parametrize("columns", [1, 3])
+@pytest.mark.parametrize("columns", [1, 3, 4])
 @pytest.mark.parametrize("horizon", [1, 4])
 @pytest.mark.parametrize(("activation", "residual"), [("relu", True), ("tanh", True), ("silu", False)])
 def test_passes_of_a_network_are_those_stage_by_stage(activation, residual, horizon, columns):
@@ -171,7 +171,7 @@ def test_compiled_gradient_is_that_of_the_virtual_machine(activation, monkeypatc
 @pytest.mark.parametrize("name", ["network", "pendulum"])
 def test_several_demonstrations_together_give_what_each_gives_alone(name):
     problem = network_problem() if name == "network" else replace(pendulum().problem)
-    found = demonstrations(problem, 3) if name == "network" else [pendulum().demonstration] * 2
+    found = demonstrations(problem, 5) if name == "network" else [pendulum().demonstration] * 2
     psi, method = psi_of(problem), Unrolled(GradientDescent(STEPS, 0.02))
     for one, alone in zip(method.together(problem, found, psi), (method(problem, d, psi) for d in found), strict=True):
         assert one.loss == pytest.approx(alone.loss, rel=1e-14)

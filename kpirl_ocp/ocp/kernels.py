@@ -8,7 +8,10 @@ place.
 
 from __future__ import annotations
 
+import inspect
 import re
+
+from kpirl_ocp.ocp import fewer_copies
 
 _KERNEL = r"""
 #if defined(__AVX512F__)
@@ -27,15 +30,15 @@ typedef casadi_real half_vector __attribute__((vector_size(HALF_LANES * sizeof(c
 /* rows first .. end of `columns` columns, as vectors of which the last overlaps its neighbour if it has to;
    `chains` partial sums hide the latency of a tile that is low */
 static inline __attribute__((always_inline)) void casadi_tile(const int vectors, const int columns, const int chains,
-    const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x, const casadi_real* y, casadi_real* z,
-    casadi_int first, casadi_int end) {
+    const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x, const casadi_real* y, const casadi_real* start,
+    casadi_real* z, casadi_int first, casadi_int end) {
   tile_vector sum[5][8];
   casadi_int row[8], k = 0;
   int v, c, p;
   UNROLL for (v = 0; v < vectors; ++v) row[v] = v < vectors - 1 ? first + v * TILE_LANES : end - TILE_LANES;
   UNROLL for (c = 0; c < columns * chains; ++c)
     UNROLL for (v = 0; v < vectors; ++v)
-      sum[c][v] = c < columns ? *(const tile_vector*) (z + c * nrow_x + row[v]) : (tile_vector) {0};
+      sum[c][v] = start && c < columns ? *(const tile_vector*) (start + c * nrow_x + row[v]) : (tile_vector) {0};
   for (; k + chains <= ncol_x; k += chains)
     UNROLL for (p = 0; p < chains; ++p)
       UNROLL for (v = 0; v < vectors; ++v) {
@@ -55,14 +58,15 @@ static inline __attribute__((always_inline)) void casadi_tile(const int vectors,
 
 /* all rows of `columns` columns, in tiles of nearly equal height */
 static inline __attribute__((always_inline)) void casadi_panel(const int columns, const int most,
-    const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x, const casadi_real* y, casadi_real* z) {
+    const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x, const casadi_real* y, const casadi_real* start,
+    casadi_real* z) {
   const casadi_int vectors = (nrow_x + TILE_LANES - 1) / TILE_LANES, tiles = (vectors + most - 1) / most;
   casadi_int first = 0, t;
   for (t = 0; t < tiles; ++t) {
     casadi_int height = vectors * (t + 1) / tiles - vectors * t / tiles;
     casadi_int end = t < tiles - 1 ? first + height * TILE_LANES : nrow_x;
 #define TILE(h) if (h <= most && height == h) \
-      casadi_tile(h, columns, columns > 1 ? 1 : h > 4 ? 1 : h > 2 ? 2 : 4, x, nrow_x, ncol_x, y, z, first, end);
+      casadi_tile(h, columns, columns > 1 ? 1 : h > 4 ? 1 : h > 2 ? 2 : 4, x, nrow_x, ncol_x, y, start, z, first, end);
     TILE(1) TILE(2) TILE(3) TILE(4) TILE(5) TILE(6) TILE(7) TILE(8)
 #undef TILE
     first = end;
@@ -134,31 +138,43 @@ static inline void casadi_row(const casadi_real* x, casadi_int count, const casa
   }
 }
 
-static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
-    const casadi_real* y, casadi_int ncol_y, casadi_real* z, casadi_int tr) {
+/* z = start + x y, where no start stands for zeros */
+static void casadi_mtimes_from(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
+    const casadi_real* y, casadi_int ncol_y, const casadi_real* start, casadi_real* z) {
   casadi_int i = 0, j, k;
-  if (!tr && nrow_x >= TILE_LANES) {
+  if (nrow_x >= TILE_LANES) {
 #define PANELS(n, most) for (; i + n <= ncol_y; i += n) \
-      casadi_panel(n, most, x, nrow_x, ncol_x, y + i * ncol_x, z + i * nrow_x);
+      casadi_panel(n, most, x, nrow_x, ncol_x, y + i * ncol_x, start ? start + i * nrow_x : 0, z + i * nrow_x);
     PANELS(5, TILE_VECTORS)
     PANELS(4, TILE_VECTORS)
     PANELS(3, TILE_VECTORS)
     PANELS(2, TILE_VECTORS * 2)
     PANELS(1, TILE_VECTORS * 2)
 #undef PANELS
-  } else if (!tr && nrow_x == 1) {
+    return;
+  }
+  for (j = 0; j < nrow_x * ncol_y; ++j) z[j] = start ? start[j] : 0;
+  if (nrow_x == 1) {
     casadi_row(x, ncol_x, y, ncol_y, z);
-  } else if (!tr && nrow_x >= HALF_LANES) {
+  } else if (nrow_x >= HALF_LANES) {
     casadi_low(x, nrow_x, ncol_x, y, ncol_y, z);
-  } else if (!tr) {
+  } else {
     for (; i < ncol_y; ++i)
       for (k = 0; k < ncol_x; ++k)
         for (j = 0; j < nrow_x; ++j) z[j + i * nrow_x] += x[j + k * nrow_x] * y[k + i * ncol_x];
-  } else {
-    for (; i < ncol_y; ++i)
-      for (j = 0; j < ncol_x; ++j)
-        for (k = 0; k < nrow_x; ++k) z[j + i * ncol_x] += x[k + j * nrow_x] * y[k + i * nrow_x];
   }
+}
+
+static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
+    const casadi_real* y, casadi_int ncol_y, casadi_real* z, casadi_int tr) {
+  casadi_int i, j, k;
+  if (!tr) {
+    casadi_mtimes_from(x, nrow_x, ncol_x, y, ncol_y, z, z);
+    return;
+  }
+  for (i = 0; i < ncol_y; ++i)
+    for (j = 0; j < ncol_x; ++j)
+      for (k = 0; k < nrow_x; ++k) z[j + i * ncol_x] += x[k + j * nrow_x] * y[k + i * nrow_x];
 }
 """
 
@@ -219,18 +235,23 @@ static void casadi_tanh(const casadi_real* x, casadi_int n, casadi_real* y) {
 
 """
 
-SOURCES = _KERNEL + _COPY + _TANH
+SOURCES = _KERNEL + _COPY + _TANH + inspect.getsource(fewer_copies)
+"""What `with_fast_kernels` makes of generated C depends on."""
 _BODIES = {"casadi_mtimes_dense": _KERNEL.lstrip(), "casadi_copy": _COPY}
 _TANH_LOOP = re.compile(r"for \(i=0, rr=([^,]+), cs=([^;]+); i<(\d+); \+\+i\) \*rr\+\+ = tanh\( ?\*cs\+\+ ?\);")
 
 
 def with_fast_kernels(source: str) -> str:
-    """Generated C with its dense matrix product, copies and tanh of arrays replaced; what is not in it is not added."""
+    """Generated C with its dense matrix product, copies and tanh of arrays replaced, and with fewer copies.
+
+    What is not in it is not added.
+    """
     for name, body in _BODIES.items():
         start = source.find(f"void {name}(")
         if start >= 0:
             end = source.index("\n}\n", start) + len("\n}\n")
             source = source[:start] + body + source[end:]
+    source = fewer_copies.with_fewer_copies(source)
     source, found = _TANH_LOOP.subn(r"casadi_tanh(\2, \3, \1);", source)
     if found:
         at = re.search(r"#define casadi_int .*\n(#endif\n)?", source)

@@ -5,8 +5,9 @@ share of the first layer is known for all times before z is, and
 
     a_1 = W_z z_t + e_t,    e_t = W_theta theta_t + W_u u_t + (W_v theta_dot + b_1)
 
-leaves only W_z in the recursion over time; the rest is one matrix product for the whole trajectory, and the same holds
-for the tangent and, transposed, for the adjoints. The slopes of the activations are remembered by the rollout.
+leaves only W_z in the recursion over time; for few trajectories the rest is one matrix product for all times, and the
+same holds for the tangent and, transposed, for the adjoints. For many it stays within the stage, whose products are
+wide enough, and no array (n_1, T B) is moved. The slopes of the activations are remembered by the rollout.
 """
 
 from __future__ import annotations
@@ -37,8 +38,7 @@ class NetworkSweeps:
         z0, theta0, velocity = self._parts(s0)
         theta = self._sum(theta0, actions)
         constant = ca.mac(ca.DM(self._by_velocity), velocity, ca.repmat(ca.DM(self._mlp.biases[0]), 1, self.columns))
-        drive = self._drive(theta, actions, ca.repmat(constant, 1, self.horizon))
-        z, *memory = along(self._forward, z0, [drive], self.horizon)
+        z, *memory = along(self._forward, z0, self._ahead(theta, actions, constant), self.horizon)
         states = _stack(ca.horzcat(z0, z), theta, ca.repmat(velocity, 1, self.horizon + 1))
         return Rollout(states, actions, tuple(memory))
 
@@ -46,7 +46,7 @@ class NetworkSweeps:
         """See `Sweeps`."""
         zero = ca.MX.zeros(self.dynamics.n_z, self.columns)
         dtheta = self._sum(ca.MX.zeros(self.dynamics.n_joints, self.columns), dU)
-        moved = along(self._tangent, zero, [*at.memory, self._drive(dtheta, dU)], self.horizon)
+        moved = along(self._tangent, zero, [*at.memory, *self._ahead(dtheta, dU)], self.horizon)
         return _stack(ca.horzcat(zero, *moved), dtheta, ca.MX.zeros(dtheta.shape))
 
     def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
@@ -58,16 +58,16 @@ class NetworkSweeps:
         if not self._curved:
             return self._backwards(self._adjoint, psi, Q, *at.memory)
         dz, dtheta, _ = self._parts(dS)
-        inputs = *at.memory, *memory, dz[:, : dU.size2()], self._drive(dtheta, dU)
+        inputs = *at.memory, *memory, dz[:, : dU.size2()], *self._ahead(dtheta, dU)
         return self._backwards(self._adjoint_tangent, psi, Q, *inputs)
 
     def _backwards(self, stage: ca.Function, psi: ca.MX, Q: ca.MX, *inputs: ca.MX) -> Adjoint:
-        """Accumulate a stage (lambda_z, q_z, ...) -> lambda_z, adjoint of a_1; then the joints' share, all at once."""
+        """Accumulate a stage (lambda_z, q_z, ...) -> lambda_z, the adjoint of a_1; then sum up for the joints."""
         B, n_q = self.columns, self.dynamics.n_joints
         by_z, by_theta, by_velocity = self._parts(Q)
-        swept, inner = along(stage, by_z[:, -B:], [by_z[:, :-B], *inputs], self.horizon, backwards=True)
+        swept, *shares = along(stage, by_z[:, -B:], [by_z[:, :-B], *inputs], self.horizon, backwards=True)
         costates = ca.horzcat(swept[:, B:], by_z[:, -B:])
-        share = ca.DM(self._by_joints.T) @ inner
+        share, inner = shares if self._wide else self._shares(*shares)
         theta = self._sum_back(by_theta, share[:n_q, :])
         velocity = self._sum_back(by_velocity, ca.DM(self._by_velocity.T) @ inner)
         return Adjoint(
@@ -77,12 +77,35 @@ class NetworkSweeps:
             memory=(costates,) if self._curved else (),
         )
 
-    def _drive(self, theta: ca.MX, actions: ca.MX, constant: ca.MX | None = None) -> ca.MX:
-        """W_theta theta_t + W_u u_t + constant for t < T, (n_1, T B)."""
-        by_theta, by_action = (ca.DM(part) for part in np.hsplit(self._by_joints, 2))
-        earlier = theta[:, : actions.size2()]
-        start = by_theta @ earlier if constant is None else ca.mac(by_theta, earlier, constant)
-        return ca.mac(by_action, actions, start)
+    def _ahead(self, theta: ca.MX, actions: ca.MX, constant: ca.MX | None = None) -> list[ca.MX]:
+        """What stages t < T know e_t by: the joints (theta_t, u_t) and the constant, or e_t itself."""
+        joints = _stack(theta[:, : actions.size2()], actions)
+        if self._wide:
+            return [joints] if constant is None else [joints, constant]
+        return [self._drive(joints, None if constant is None else ca.repmat(constant, 1, self.horizon))]
+
+    def _given(self, constant: bool = False) -> tuple[list[ca.MX], ca.MX]:
+        """Symbols for that, and e_t."""
+        n_1, n_joints = self._by_joints.shape
+        if not self._wide:
+            drive = self._symbol("e", n_1)
+            return [drive], drive
+        symbols = [self._symbol("joints", n_joints), *([self._symbol("constant", n_1)] if constant else [])]
+        return symbols, self._drive(*symbols)
+
+    def _drive(self, joints: ca.MX, constant: ca.MX | None = None) -> ca.MX:
+        """W_theta theta_t + W_u u_t + constant."""
+        by_joints = ca.DM(self._by_joints)
+        return by_joints @ joints if constant is None else ca.mac(by_joints, joints, constant)
+
+    def _shares(self, inner: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """(W_theta, W_u)^T times the adjoint of a_1, and that adjoint."""
+        return ca.DM(self._by_joints.T) @ inner, inner
+
+    @property
+    def _wide(self) -> bool:
+        """True if the joints' share is left to the stage."""
+        return self.columns >= _WIDE
 
     def _sum(self, start: ca.MX, actions: ca.MX) -> ca.MX:
         """theta_0 .. theta_T (n_q, (T+1) B), the running sum of the actions."""
@@ -125,32 +148,36 @@ class NetworkSweeps:
 
     @cached_property
     def _forward(self) -> ca.Function:
-        """z, e -> z_next, slopes."""
-        z, drive = self._symbol("z"), self._symbol("e", len(self._by_joints))
+        """z, what e_t takes -> z_next, slopes."""
+        z, (given, drive) = self._symbol("z"), self._given(constant=True)
         y, slopes = self._mlp.linearise(z, drive)
-        return ca.Function("forward", [z, drive], [self._keep(z) + y, *arrays(slopes)])
+        return ca.Function("forward", [z, *given], [self._keep(z) + y, *arrays(slopes)])
 
     @cached_property
     def _tangent(self) -> ca.Function:
-        """dz, slopes, de -> dz_next."""
-        dz, drive, slopes = self._symbol("dz"), self._symbol("de", len(self._by_joints)), self._slopes
+        """dz, slopes, what de_t takes -> dz_next."""
+        dz, slopes, (given, drive) = self._symbol("dz"), self._slopes, self._given()
         moved, _ = push(self._mlp, from_arrays(self._mlp, slopes), dz, drive)
-        return ca.Function("tangent", [dz, *slopes, drive], [self._keep(dz) + moved])
+        return ca.Function("tangent", [dz, *slopes, *given], [self._keep(dz) + moved])
 
     @cached_property
     def _adjoint(self) -> ca.Function:
         """lambda_z, q_z, slopes -> lambda_z before, adjoint of a_1."""
         lam, q, slopes = self._symbol("lam"), self._symbol("q"), self._slopes
         pulled, inner = pull(self._mlp, from_arrays(self._mlp, slopes), lam)
-        return ca.Function("adjoint", [lam, q, *slopes], [q + self._keep(lam) + pulled, inner])
+        return self._backward("adjoint", [lam, q, *slopes], q + self._keep(lam) + pulled, inner)
 
     @cached_property
     def _adjoint_tangent(self) -> ca.Function:
-        """mu_z, q_z, slopes, lambda_z, dz, de -> mu_z before, tangent of the adjoint of a_1."""
+        """mu_z, q_z, slopes, lambda_z, dz, what de_t takes -> mu_z before, tangent of the adjoint of a_1."""
         mu, q, lam, dz = (self._symbol(name) for name in ("mu", "q", "lam", "dz"))
-        drive, slopes = self._symbol("de", len(self._by_joints)), self._slopes
+        slopes, (given, drive) = self._slopes, self._given()
         pulled, inner = pull_tangent(self._mlp, from_arrays(self._mlp, slopes), lam, dz, mu, drive)
-        return ca.Function("adjoint_tangent", [mu, q, *slopes, lam, dz, drive], [q + self._keep(mu) + pulled, inner])
+        inputs = [mu, q, *slopes, lam, dz, *given]
+        return self._backward("adjoint_tangent", inputs, q + self._keep(mu) + pulled, inner)
+
+    def _backward(self, name: str, inputs: list[ca.MX], before: ca.MX, inner: ca.MX) -> ca.Function:
+        return ca.Function(name, inputs, [before, *(self._shares(inner) if self._wide else [inner])])
 
     def _symbol(self, name: str, rows: int | None = None) -> ca.MX:
         return ca.MX.sym(name, self.dynamics.n_z if rows is None else rows, self.columns)
@@ -162,6 +189,9 @@ class NetworkSweeps:
 
     def _keep(self, z: ca.MX) -> ca.MX | float:
         return z if self.dynamics.residual else 0.0
+
+
+_WIDE = 4  # so many trajectories fill the tiles of a matrix product by themselves
 
 
 def _add(rows: int, columns: int) -> ca.Function:

@@ -77,22 +77,22 @@ class StageSweeps:
 
     def rollout(self, s0: ca.MX, actions: ca.MX, psi: ca.MX) -> Rollout:
         """See `Sweeps`."""
-        (states,) = self._along(self.dynamics, s0, actions, self._repeat(psi))
+        (states,) = self._along(self.dynamics, s0, actions, psi)
         return Rollout(ca.horzcat(s0, states), actions, ())
 
     def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
         """See `Sweeps`."""
         zero = ca.MX.zeros(self.dynamics.size1_in(0), self.columns)
-        return ca.horzcat(zero, *self._along(self._tangent, zero, *self._points(at), self._repeat(psi), dU))
+        return ca.horzcat(zero, *self._along(self._tangent, zero, *self._points(at), psi, dU))
 
     def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
         """See `Sweeps`."""
-        return self._backwards(self._adjoint, Q, *self._points(at), self._repeat(psi))
+        return self._backwards(self._adjoint, Q, *self._points(at), psi)
 
     def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
         """See `Sweeps`."""
         direction = dS[:, : dU.size2()], dU
-        return self._backwards(self._adjoint_tangent, Q, *self._points(at), self._repeat(psi), *memory, *direction)
+        return self._backwards(self._adjoint_tangent, Q, *self._points(at), psi, *memory, *direction)
 
     def _along(self, stage: ca.Function, start: ca.MX, *inputs: ca.MX, backwards: bool = False) -> list[ca.MX]:
         return along(stage.map(self.columns), start, inputs, self.horizon, backwards)
@@ -106,9 +106,6 @@ class StageSweeps:
 
     def _points(self, at: Rollout) -> tuple[ca.MX, ca.MX]:
         return at.states[:, : at.actions.size2()], at.actions
-
-    def _repeat(self, psi: ca.MX) -> ca.MX:
-        return ca.repmat(psi, 1, self.horizon)
 
     @cached_property
     def _symbols(self) -> tuple[ca.MX, ...]:
@@ -155,14 +152,19 @@ def along(
 ) -> list[ca.MX]:
     """Carry the first output of a stage to its first input, from the first to the last block or from the last on.
 
-    Inputs and outputs (n, T B) are ordered by time either way. What `mapaccum` does, but with a single copy. Many steps
-    are taken in groups, with a copy more: compilers take more than twice the time for a function of twice the length.
+    Inputs and outputs (n, T B) are ordered by time either way; an input (n, B) is the same at every step. What
+    `mapaccum` does, but with a single copy. Many steps are taken in groups, with a copy more: compilers take more than
+    twice the time for a function of twice the length.
     """
     size = 1 if steps <= _ALONE else math.isqrt(steps)
     ends = [*range(0, steps, size), steps]
     lengths = [end - begin for begin, end in pairwise(ends)]
-    groups = {length: stage if size == 1 else _group(stage, length, backwards) for length in lengths}
-    blocks = [ca.horzsplit(array, [end * (array.size2() // steps) for end in ends]) for array in inputs]
+    same = [array.size2() == start.size2() for array in inputs]
+    groups = {length: stage if size == 1 else _group(stage, length, backwards, same) for length in lengths}
+    blocks = [
+        [array] * len(lengths) if alike else ca.horzsplit(array, [end * (array.size2() // steps) for end in ends])
+        for array, alike in zip(inputs, same, strict=True)
+    ]
     rows: list[list[ca.MX]] = [[] for _ in lengths]
     for i in reversed(range(len(lengths))) if backwards else range(len(lengths)):
         outputs = groups[lengths[i]].call([start, *(block[i] for block in blocks)])
@@ -170,10 +172,11 @@ def along(
     return [ca.horzcat(*column) for column in zip(*rows, strict=True)]
 
 
-def _group(stage: ca.Function, length: int, backwards: bool) -> ca.Function:
-    """Some steps: (carried, inputs side by side) -> what is carried on, and all outputs side by side."""
+def _group(stage: ca.Function, length: int, backwards: bool, same: Sequence[bool]) -> ca.Function:
+    """Some steps: (carried, inputs as for `along`) -> what is carried on, and all outputs side by side."""
     start, *inputs = stage.mx_in()
-    wide = [ca.MX.sym("x", array.size1(), array.size2() * length) for array in inputs]
+    widths = [array.size2() * (1 if alike else length) for array, alike in zip(inputs, same, strict=True)]
+    wide = [ca.MX.sym("x", array.size1(), width) for array, width in zip(inputs, widths, strict=True)]
     outputs = along(stage, start, wide, length, backwards)
     width = start.size2()
     carried = outputs[0][:, :width] if backwards else outputs[0][:, -width:]

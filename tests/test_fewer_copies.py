@@ -1,0 +1,98 @@
+"""Generated C with fewer copies gives the same numbers to the last bit, and moves less."""
+
+import re
+import shutil
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from kpirl_ocp.ocp import kernels, native
+from kpirl_ocp.ocp.fewer_copies import with_fewer_copies
+from kpirl_ocp.ocp.sweeps import along
+
+STEPS = 3
+needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")
+
+
+def recursion(rows, columns):
+    """Some steps of a stage with products, and with outputs that are wanted once, twice or not at all."""
+    rng = np.random.default_rng(0)
+    first, second = (ca.DM(rng.normal(size=(rows, rows)) / rows) for _ in range(2))
+    x, y, start = (ca.MX.sym(name, rows, columns) for name in ("x", "y", "start"))
+    moved = ca.mac(first, x, start)
+    kept = y * (second @ moved)
+    outputs = [x + kept, kept, moved, kept, ca.horzcat(kept, moved)]
+    stage = ca.Function("stage", [x, y, start], outputs)
+    wide = ca.MX.sym("Y", rows, columns * STEPS)
+    _, *found = along(stage, x, [wide, start], STEPS)
+    return ca.Function("recursion", [x, wide, start], [found[0] + found[2], found[1], found[3]])
+
+
+def generated(function):
+    generator = ca.CodeGenerator("code.c")
+    generator.add(function)
+    return generator.dump()
+
+
+def bodies(source):
+    return dict(re.findall(r"^static int (casadi_f\d+)\((.*?^}\n)", source, re.MULTILINE | re.DOTALL))
+
+
+@needs_compiler
+@pytest.mark.parametrize(("rows", "columns"), [(1, 4), (3, 2), (8, 1), (9, 5), (25, 10)])
+def test_numbers_are_the_same_to_the_last_bit(rows, columns, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    function, rng = recursion(rows, columns), np.random.default_rng(1)
+    shorter = native.compiled(function)
+    monkeypatch.setattr(kernels, "with_fewer_copies", lambda source: source)
+    longer = native.compiled(function)
+    assert len(list((tmp_path / "kpirl_ocp").iterdir())) == 2
+    point = [rng.normal(size=function.size_in(i)) for i in range(function.n_in())]
+    for few, many, virtual in zip(shorter(*point), longer(*point), function(*point), strict=True):
+        np.testing.assert_array_equal(np.array(few), np.array(many))
+        np.testing.assert_allclose(np.array(few), np.array(virtual), rtol=0, atol=1e-13)
+
+
+def test_products_start_from_what_they_are_added_to_and_outputs_are_computed_in_place():
+    before = generated(recursion(25, 10))
+    after = with_fewer_copies(before)
+    assert before.count("casadi_mtimes_dense(w") == after.count("casadi_mtimes_from(w") == 2
+    assert "casadi_clear(w" in before
+    assert "casadi_clear(w" not in after
+    (name,) = (name for name, body in bodies(after).items() if "casadi_mtimes_from" in body)
+    copies = [len(re.findall(r"casadi_copy\(w\d+, \d+, res", bodies(source)[name])) for source in (before, after)]
+    assert copies == [6, 3]  # each of three arrays goes to its last place at once
+    stage = bodies(after)[name]
+    assert re.search(r"\*w\d+=res\[0\] \? res\[0\] : w\+\d+", stage)
+
+
+def test_functions_that_others_may_call_with_arrays_that_overlap_keep_their_copies():
+    before = generated(recursion(25, 10))
+    (entry,) = re.findall(r"return (casadi_f\d+)\(arg, res, iw, w, mem\);", before)
+    assert bodies(with_fewer_copies(before))[entry] == bodies(before)[entry]
+
+
+def test_a_product_keeps_its_copy_if_anything_comes_between():
+    text = "static int casadi_f1(const casadi_real** arg) {{\n{}}}\n"
+    product = "  casadi_mtimes_dense(w1, 9, 9, w2, 1, w3, 0);\n"
+    for between in ("  w4[0] = 1;\n", "  w3[0] = 1;\n"):
+        copied = text.format("  casadi_copy(w4, 9, w3);\n" + between + product)
+        assert with_fewer_copies(copied) == copied
+    touched = text.format("  casadi_clear(w3, 9);\n  w3[0] = 1;\n" + product)
+    assert with_fewer_copies(touched) == touched
+    itself = text.format("  casadi_clear(w3, 9);\n" + product.replace("w2", "w3"))
+    assert with_fewer_copies(itself) == itself
+
+
+@pytest.mark.parametrize("steps", [1, 4, 40])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_an_input_of_one_block_is_the_same_at_every_step(steps, backwards):
+    x, y, c = (ca.MX.sym(name, 2, 3) for name in "xyc")
+    stage = ca.Function("stage", [x, y, c], [c * x + y, x - y])
+    Y = ca.MX.sym("Y", 2, 3 * steps)
+    point = [np.random.default_rng(2).uniform(size=size) for size in ((2, 3), (2, 3 * steps), (2, 3))]
+    both = [along(stage, x, [Y, constant], steps, backwards) for constant in (c, ca.repmat(c, 1, steps))]
+    found, expected = (ca.Function("along", [x, Y, c], outputs)(*point) for outputs in both)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(np.array(one), np.array(other))
