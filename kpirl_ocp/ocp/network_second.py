@@ -42,12 +42,12 @@ def second(mlp: MLP, prepared: Parts) -> tuple[ca.MX, ca.MX]:
     if low is None and all(weight is None for weight in weights):
         return jacobian(mlp, [Slopes(first, None) for first in firsts]), ca.MX(n, n)
     total = ca.MX.zeros(n, n) if low is None else ca.reshape(low.nz[_mirrored(n)], n, n)
-    rows = ca.MX(ca.DM(mlp.weights[0]))  # A_l
+    columns = ca.MX(ca.DM(mlp.weights[0].T))  # A_l'
     for weight, first, curvature in zip(mlp.weights[1:], firsts[:-1], weights, strict=True):
-        rows = ca.DM(weight) @ scale_rows(first, rows)
+        columns = columns @ scale_rows(first, ca.MX(ca.DM(weight.T)))
         if curvature is not None:
-            total = ca.mac(rows.T, scale_rows(curvature, rows), total)
-    return scale_rows(firsts[-1], rows), total
+            total = ca.mac(columns, scale_rows(curvature, columns.T), total)
+    return scale_rows(firsts[-1], columns.T), total
 
 
 def hessian(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> ca.MX:
