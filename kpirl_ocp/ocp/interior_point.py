@@ -30,7 +30,7 @@ from kpirl_ocp.ocp.stage_blocks import by_stage, path_product, push_stage, selec
 from kpirl_ocp.types import Array, Indices
 
 PROXIMAL = 1e-9  # delta
-BOUNDARY = 0.99  # smallest share of the way to the boundary that a step may go
+BOUNDARY = 0.99  # share of the way to the boundary that a step of slacks may go; of multipliers, the smallest share
 CORRECTED = 0.5  # length of the first step from which the second order is believed
 CENTRE = 1e10  # slack * multiplier stays within this factor of tau
 

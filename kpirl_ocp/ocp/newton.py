@@ -209,7 +209,6 @@ class Newton:
         self, at: Derivatives, changes: list[Array], pivots: Array, gains: Array, tau: float, regularisation: float
     ) -> Step:
         ds, du, dcostates, dy, dz, dnu = changes
-        share = max(BOUNDARY, 1 - tau)
         return Step(
             ds0=ds[: len(self.s0)],
             dw=np.concatenate([ds[len(self.s0) :], du]),
@@ -218,8 +217,8 @@ class Newton:
             dz=dz,
             dnu=dnu,
             tau=tau,
-            primal_length=longest(at.iterate.y, dy, share),
-            dual_length=longest(at.iterate.z, dz, share),
+            primal_length=longest(at.iterate.y, dy, BOUNDARY),
+            dual_length=longest(at.iterate.z, dz, max(BOUNDARY, 1 - tau)),
             regularisation=regularisation,
             positive=bool(((pivots > 0) & (pivots < np.inf)).all() and np.isfinite(du).all()),
             gains=gains,
@@ -243,7 +242,7 @@ class Newton:
         off = moved.w[self._rows.fixed] - self._rows.values
         parts = ((1 - length) * at.defects, self.s0 - moved.s0, off, g + y)
         theta = sum(np.abs(part).sum() for part in parts)
-        outside = (y < _REMAINDER * min(1 - BOUNDARY, step.tau) * it.y).any()
+        outside = (y < _REMAINDER * (1 - BOUNDARY) * it.y).any()
         phi = np.inf if outside else objective - step.tau * np.log(y).sum()
         return replace(moved, y=y), float(theta), float(phi)
 

@@ -21,7 +21,8 @@ enum { BOUNDS = KPIRL_MPC_N_BOUNDS, FORCES = KPIRL_MPC_N_FORCES, ROWS = KPIRL_MP
 typedef kpirl_mpc_real real;
 
 static const real REMAINDER = (real)0.1;  /* a step along the dynamics may end this much closer to the boundary */
-static const real BOUNDARY = (real)0.99;  /* smallest share of the way to the boundary that a step may go */
+static const real BOUNDARY = (real)0.99;  /* share of the way to the boundary that a step of slacks may go; of multipliers, the
+                                           * smallest share */
 static const real CENTRE = (real)1e10;    /* slack * multiplier stays within this factor of tau */
 
 static real larger(real a, real b) { return a > b ? a : b; }
@@ -177,10 +178,9 @@ static void hand_over(kpirl_mpc_workspace *work, const real **arguments, real **
 static void judge(kpirl_mpc_workspace *work, real regularisation) {
   const kpirl_mpc_iterate *at = &work->iterate, *change = &work->step.change;
   kpirl_mpc_step *step = &work->step;
-  const real share = larger(BOUNDARY, 1 - step->tau);
   int i;
-  step->primal_length = longest(at->y, change->y, ROWS, share);
-  step->dual_length = longest(at->z, change->z, ROWS, share);
+  step->primal_length = longest(at->y, change->y, ROWS, BOUNDARY);
+  step->dual_length = longest(at->z, change->z, ROWS, larger(BOUNDARY, 1 - step->tau));
   step->regularisation = regularisation;
   step->positive = kpirl_mpc_all_finite(change->point + STATES, T * NU);
   for (i = 0; i < T * NU; ++i) step->positive = step->positive && step->pivots[i] > 0 && isfinite(step->pivots[i]);
@@ -243,7 +243,7 @@ void kpirl_mpc_try(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, real length
   kpirl_mpc_iterate *trial = &work->trial;
   real gap[NS] = {0}, off[KPIRL_MPC_ROOM(KPIRL_MPC_N_FIXED)] = {0}, g[KPIRL_MPC_ROOM(KPIRL_MPC_N_ROWS)] = {0};
   real objective = 0;
-  const real *arguments[9], least = REMAINDER * smaller(1 - BOUNDARY, work->step.tau);
+  const real *arguments[9], least = REMAINDER * (1 - BOUNDARY);
   real *results[4];
   int i, outside = 0;
   move_linearly(work, length);
