@@ -14,9 +14,12 @@ from problems import TABLE, integrator, network, swing_up
 from kpirl_ocp import OCP, Fatrop, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp import native
-from kpirl_ocp.ocp.export.resident import _resident, resident
+from kpirl_ocp.ocp.calls import call
+from kpirl_ocp.ocp.export.resident import _resident, latest, resident
 from kpirl_ocp.ocp.kkt import audit
 from kpirl_ocp.ocp.riccati import _Run
+from kpirl_ocp.ocp.sensitivity import Instance, primal_dual
+from kpirl_ocp.ocp.stages import second
 
 SOLVERS = {"riccati": (Riccati(), 1e-8, 1e-6), "fatrop": (Fatrop(), 1e-6, 1e-4)}  # solver, objective, multipliers
 
@@ -244,6 +247,27 @@ def test_machine_code_takes_the_steps_of_the_python_driver(name, machine_code):
             scale = max(1.0, np.abs(multipliers).max(initial=0.0))
             np.testing.assert_allclose(getattr(found.multipliers, kind), multipliers, rtol=0, atol=1e-8 * scale)
         assert found.residuals.scale == pytest.approx(expected.residuals.scale, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["integrator", "tanh network"])
+def test_second_derivatives_where_a_solve_ended_are_known_and_nowhere_else(name, machine_code):
+    problem, *given_here = given(name)
+    s0, psi, context = problem.inputs(*given_here)
+    found = Riccati().solve(problem, s0, psi, context)
+    instance = Instance(problem, s0, psi, context)
+    arguments = instance.arguments(primal_dual(instance, found))
+    machine = latest(problem)
+    _, defects, path, _, _, *others = call(problem, second)(*arguments)
+    for one, other in zip(machine.second(*arguments), [defects, path, *others], strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-13 * max(1.0, np.abs(other).max(initial=0.0)))
+    for i in range(5):  # the integrator alone has path constraints
+        elsewhere = [argument + 1e-15 if i == j else argument for j, argument in enumerate(arguments)]
+        known = machine.second(*elsewhere)
+        assert (known is None) == any(not np.array_equal(*pair) for pair in zip(elsewhere, arguments, strict=True))
+    Riccati(steps=1).solve(problem, s0, psi, context, guess=found)
+    assert machine.second(*arguments) is None
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(latest, problem).result() is None
 
 
 def test_problems_too_small_for_the_compiler_or_too_large_for_the_stack_are_solved_by_python(machine_code, monkeypatch):

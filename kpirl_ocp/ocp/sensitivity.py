@@ -178,8 +178,7 @@ def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
 def linearise(instance: Instance, point: PrimalDual, active: Mask | None = None) -> KKTSystem:
     """Evaluate the KKT system at a point for an active set, by default the one that the point suggests."""
     problem = instance.problem
-    outputs = call(problem, second)(*instance.arguments(point))
-    _, defects, path, _, _, r, r_last, F, G, H, H_last = outputs
+    defects, path, r, r_last, F, G, H, H_last = _second(problem, *instance.arguments(point))
     steps, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
     G = G.reshape(steps, n_x, problem.n_path)
     rows = Inequalities.at(instance.nlp, point.w, path)
@@ -201,6 +200,18 @@ def linearise(instance: Instance, point: PrimalDual, active: Mask | None = None)
         equal=rows.equal,
         stiffness=stiffness,
     )
+
+
+def _second(problem: OCP, *arguments: Array) -> list[Array]:
+    """`stages.second` without the cost and its gradient; known where a solve in machine code ended just there."""
+    from kpirl_ocp.ocp.export.resident import latest  # which exports the solver that this differentiates
+
+    machine = latest(problem)
+    known = machine.second(*arguments) if machine else None
+    if known is None:
+        _, defects, path, _, _, *others = call(problem, second)(*arguments)
+        known = [defects, path, *others]
+    return known
 
 
 def _active(instance: Instance, rows: Inequalities, forces: Array) -> Mask:

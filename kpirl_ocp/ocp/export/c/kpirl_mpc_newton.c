@@ -94,6 +94,7 @@ void kpirl_mpc_differentiate(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, i
     kpirl_mpc_call(mpc, kpirl_mpc_stage_second, 6, arguments, 11, results);
   else
     kpirl_mpc_call(mpc, kpirl_mpc_stage_first, 6, arguments, 7, results);
+  work->matrices = matrices;
   by_time(work->columns, work->last, d->cost_gradient);
   by_time(d->r, d->r_last, d->gradient);
   kpirl_mpc_push(work, at, d->gradient + NS);
@@ -101,6 +102,24 @@ void kpirl_mpc_differentiate(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, i
   d->scale = scale_of(d, at);
   d->violation = absolute_sum(d->defects, T * NS) + absolute_sum(d->gap, NS) + absolute_sum(d->off, FIXED);
   for (i = 0; i < ROWS; ++i) d->violation += fabs(d->rows[i] + at->y[i]);
+}
+
+int kpirl_mpc_known(const kpirl_mpc *mpc, const real **arguments, const real **results) {
+  const kpirl_mpc_iterate *at = &mpc->work.iterate;
+  const kpirl_mpc_derivatives *d = &mpc->work.at;
+  arguments[0] = at->point;
+  arguments[1] = at->point + STATES;
+  arguments[2] = at->costates;
+  arguments[3] = at->z + BOUNDS;
+  results[0] = d->defects;
+  results[1] = mpc->work.path;
+  results[2] = d->r;
+  results[3] = d->r_last;
+  results[4] = d->F;
+  results[5] = d->G;
+  results[6] = d->H;
+  results[7] = d->H_last;
+  return mpc->work.matrices;
 }
 
 int kpirl_mpc_finite(const kpirl_mpc *mpc) {

@@ -10,6 +10,10 @@
 /* Everything that a Newton step needs at the iterate, or without matrices what residuals need. */
 void kpirl_mpc_differentiate(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, int matrices);
 
+/* S, U, Lambda and M of the iterate, and defects, path, r, r_T, F, G, H and H_T of stage_second there; 0 if they are not
+ * known. For programs that go on from them in the same memory. */
+int kpirl_mpc_known(const kpirl_mpc *mpc, const kpirl_mpc_real **arguments, const kpirl_mpc_real **results);
+
 /* The Newton step towards work.tau at an iterate whose derivatives are finite. */
 void kpirl_mpc_find_step(kpirl_mpc *mpc, kpirl_mpc_real regularisation);
 

@@ -75,6 +75,7 @@ typedef struct kpirl_mpc_workspace {
   kpirl_mpc_real last[KPIRL_MPC_N_STATES];
   kpirl_mpc_real tau, tolerance, regularisation;
   int iterations;
+  int matrices; /* are those in `at` of this iterate? */
 } kpirl_mpc_workspace;
 
 #endif
