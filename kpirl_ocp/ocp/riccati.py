@@ -161,12 +161,17 @@ class _Run:
         Relative to larger multipliers alone, the weakest of the active constraints would stay too far from its bound.
         """
         found = self.at.residuals(self.solver.barrier)
-        return found.worst <= self.tolerance and found.complementarity <= 2 * self._final_tau
+        return found.worst <= self.tolerance and found.complementarity <= self._close
+
+    @property
+    def _close(self) -> float:
+        """What complementarity may be off: a fifth of the tolerance, in units of multipliers where these are large."""
+        return self.solver.tolerance / 5 * max(1.0, self.at.scale / _LARGE)
 
     @property
     def _final_tau(self) -> float:
-        """The barrier to stop at: a tenth of the tolerance, in units of the multipliers where these are large."""
-        return self.solver.barrier or self.solver.tolerance / 10 * max(1.0, self.at.scale / _LARGE)
+        """The barrier to stop at."""
+        return self.solver.barrier or self._close / 2
 
     def _step(self, regularisation: float) -> Step | None:
         """The Newton step, with as much regularisation as the pivots ask for; None if none is enough."""

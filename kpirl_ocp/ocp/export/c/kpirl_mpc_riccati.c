@@ -35,17 +35,21 @@ kpirl_mpc_status kpirl_mpc_check_settings(const kpirl_mpc_settings *settings) {
 
 /* ---- one solve ---------------------------------------------------------------------------------------------- */
 
-/* The barrier to stop at: a tenth of the tolerance, in units of the multipliers where these are large. */
+/* What complementarity may be off: a fifth of the tolerance, in units of the multipliers where these are large. */
+static real close_enough(const kpirl_mpc *mpc) {
+  return mpc->settings.tolerance / 5 * larger(1, mpc->work.at.scale / LARGE);
+}
+
+/* The barrier to stop at. */
 static real final_tau(const kpirl_mpc *mpc) {
-  if (mpc->settings.barrier > 0) return mpc->settings.barrier;
-  return mpc->settings.tolerance / 10 * larger(1, mpc->work.at.scale / LARGE);
+  return mpc->settings.barrier > 0 ? mpc->settings.barrier : close_enough(mpc) / 2;
 }
 
 /* Do the conditions hold, and complementarity as if multipliers were at most LARGE? Relative to larger multipliers alone,
  * the weakest of the active constraints would stay too far from its bound. */
 static int solved(const kpirl_mpc *mpc, kpirl_mpc_solution *scratch) {
   kpirl_mpc_residuals(mpc, mpc->settings.barrier, scratch);
-  return scratch->residual <= mpc->work.tolerance && scratch->complementarity <= 2 * final_tau(mpc);
+  return scratch->residual <= mpc->work.tolerance && scratch->complementarity <= close_enough(mpc);
 }
 
 /* The Newton step, with as much regularisation as the pivots ask for; 0 if none is enough. */
