@@ -63,7 +63,7 @@ class NetworkDynamics:
         """f(s, u, psi) -> s_next; psi (n_parameters,) belongs to the cost and is not used."""
         s, u, psi = self._symbols(n_parameters)
         y = self.mlp(ca.vertcat(s, u))
-        return ca.Function("dynamics", [s, u, psi], [self._next(s, y, u)])
+        return ca.Function("dynamics", [s, u, psi], [self.successor(s, y, u)])
 
     def derivatives(self, n_parameters: int) -> DynamicsDerivatives:
         """The derivatives of `function`, arranged by hand."""
@@ -71,11 +71,11 @@ class NetworkDynamics:
         ds, du, lam = (ca.MX.sym(name, like.numel()) for name, like in (("ds", s), ("du", u), ("lam", s)))
         _, slopes = self.mlp.linearise(ca.vertcat(s, u))
         moved, _ = push(self.mlp, slopes, ca.vertcat(ds, du))
-        by_s, by_u = self._pull(slopes, lam)
+        by_s, by_u = self.pulled(slopes, lam)
         J = jacobian(self.mlp, slopes)
         F = ca.vertcat(J + self.linear[: self.n_z, :], self.linear[self.n_z :, :])
         return DynamicsDerivatives(
-            jvp=ca.Function("jvp", [s, u, psi, ds, du], [self._next(ds, moved, du)]),
+            jvp=ca.Function("jvp", [s, u, psi, ds, du], [self.successor(ds, moved, du)]),
             vjp=ca.Function("vjp", [s, u, psi, lam], [by_s, by_u, ca.MX.zeros(n_parameters)]),
             jacobian=ca.Function("jacobian", [s, u, psi], [F[:, : self.n_states], F[:, self.n_states :]]),
             hessian=ca.Function("hessian", [s, u, psi, lam], [hessian(self.mlp, slopes, lam[: self.n_z])]),
@@ -87,14 +87,14 @@ class NetworkDynamics:
         """See `DynamicsDerivatives.first`."""
         s, u, psi, lam = self._columns(steps)
         y, slopes = self.mlp.linearise(ca.vertcat(s, u))
-        return ca.Function("first", [s, u, psi, lam], [self._next(s, y, u), *self._pull(slopes, lam)])
+        return ca.Function("first", [s, u, psi, lam], [self.successor(s, y, u), *self.pulled(slopes, lam)])
 
     def _prepare(self, steps: int) -> ca.Function:
         """(s, u, no psi, lam) of all stages -> f, and what `network_second.second` takes."""
         s, u, psi, lam = self._columns(steps)
         y, slopes = self.mlp.linearise(ca.vertcat(s, u))
         parts = prepare(self.mlp, slopes, lam[: self.n_z, :])
-        return ca.Function("prepare", [s, u, psi, lam], [self._next(s, y, u), *(x for x in parts if x is not None)])
+        return ca.Function("prepare", [s, u, psi, lam], [self.successor(s, y, u), *(x for x in parts if x is not None)])
 
     def _second(self) -> ca.Function:
         """f and those parts at one stage -> f, (f_s, f_u) and the Hessian."""
@@ -113,11 +113,11 @@ class NetworkDynamics:
         s, u, psi, lam = (ca.MX.sym(name, size, steps) for name, size in sizes.items())
         return s, u, psi, lam
 
-    def _next(self, s: ca.MX, y: ca.MX, u: ca.MX) -> ca.MX:
+    def successor(self, s: ca.MX, y: ca.MX, u: ca.MX) -> ca.MX:
         """The next state for the output y of the network, or its change for changes."""
         return self._shift(s) + ca.vertcat(y, self._displacement(u))
 
-    def _pull(self, slopes: list[Slopes], lam: ca.MX) -> tuple[ca.MX, ca.MX]:
+    def pulled(self, slopes: list[Slopes], lam: ca.MX) -> tuple[ca.MX, ca.MX]:
         """f_s^T lam (n_s, B) and f_u^T lam (n_u, B)."""
         pulled, _ = pull(self.mlp, slopes, lam[: self.n_z, :])
         theta = lam[self.n_z : self.n_z + self.n_joints, :]

@@ -11,7 +11,7 @@ from functools import cached_property
 import casadi as ca
 
 from kpirl_ocp.ocp.activations import Slopes
-from kpirl_ocp.ocp.network import pull, pull_tangent, push
+from kpirl_ocp.ocp.network import pull_tangent, push
 from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
 
 
@@ -28,13 +28,13 @@ class NetworkPoints:
     @property
     def pulled(self) -> ca.MX:
         """See `Points`."""
-        by_network, _ = pull(self.dynamics.mlp, self._slopes, self._of_network(self.costates))
-        return by_network + self.dynamics.linear.T @ self.costates
+        return ca.vertcat(*self.dynamics.pulled(self._slopes, self.costates))
 
     def moved(self, x: ca.MX) -> ca.MX:
         """See `Points`."""
+        n_s = self.dynamics.n_states
         by_network, _ = push(self.dynamics.mlp, self._slopes, x)
-        return ca.vertcat(by_network, ca.MX(2 * self.dynamics.n_joints, x.size2())) + self.dynamics.linear @ x
+        return self.dynamics.successor(x[:n_s, :], by_network, x[n_s:, :])
 
     def pulled_tangent(self, x: ca.MX, dcostates: ca.MX) -> ca.MX:
         """See `Points`."""
