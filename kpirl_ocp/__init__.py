@@ -6,26 +6,26 @@
 State a problem with `OCP`, solve it with a solver, differentiate through it with a hypergradient, learn with `learn`.
 """
 
-from kpirl_ocp.irl.apprenticeship import apprenticeship
-from kpirl_ocp.irl.evaluation import evaluate
-from kpirl_ocp.irl.finite_difference import FiniteDifference
-from kpirl_ocp.irl.implicit import Implicit
-from kpirl_ocp.irl.learning import learn
-from kpirl_ocp.irl.optimisers import LBFGS, Adam, Descent
-from kpirl_ocp.irl.unrolled import Truncated, Unrolled
-from kpirl_ocp.ocp.costs import RBF, Default, KeypointCost, TimeDependent, Weighted
-from kpirl_ocp.ocp.fatrop import Fatrop
-from kpirl_ocp.ocp.gradient_descent import GradientDescent
-from kpirl_ocp.ocp.ipopt import Ipopt
-from kpirl_ocp.ocp.keypoint_planning import keypoint_ocp, keypoint_state, network_ocp
-from kpirl_ocp.ocp.kinematics import Keypoint, Robot
-from kpirl_ocp.ocp.network import MLP
-from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
-from kpirl_ocp.ocp.network_files import load_dynamics
-from kpirl_ocp.ocp.network_onnx import load_onnx
-from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.riccati import Riccati
-from kpirl_ocp.ocp.sqp import SQP
+from kpirl_ocp.irl.hypergradients.finite_difference import FiniteDifference
+from kpirl_ocp.irl.hypergradients.implicit import Implicit
+from kpirl_ocp.irl.hypergradients.unrolled import Truncated, Unrolled
+from kpirl_ocp.irl.learning.apprenticeship import apprenticeship
+from kpirl_ocp.irl.learning.evaluation import evaluate
+from kpirl_ocp.irl.learning.learn import learn
+from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Descent
+from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
+from kpirl_ocp.ocp.models.keypoint_costs import RBF, Default, KeypointCost, TimeDependent, Weighted
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state, network_ocp
+from kpirl_ocp.ocp.models.mlp import MLP
+from kpirl_ocp.ocp.models.onnx_files import load_onnx
+from kpirl_ocp.ocp.models.robot import Keypoint, Robot
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.solvers.fatrop import Fatrop
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
+from kpirl_ocp.ocp.solvers.ipopt import Ipopt
+from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.ocp.solvers.sqp import SQP
 from kpirl_ocp.types import Demonstration, Solution, Status, Trajectory
 
 __all__ = [

@@ -12,12 +12,12 @@ from bench.problem import trained_network
 
 from kpirl_ocp import OCP, GradientDescent, Riccati, Robot
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.learned_cost import LearnedCost
-from kpirl_ocp.irl.tasks import as_demonstration, demonstrate
+from kpirl_ocp.irl.cases.cost_files import LearnedCost
+from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.ocp.export import export_c
-from kpirl_ocp.ocp.problem import UNBOUNDED
-from kpirl_ocp.ocp.solver import Solver
-from kpirl_ocp.ocp.sqp import SQP
+from kpirl_ocp.ocp.problem.ocp import UNBOUNDED
+from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.ocp.solvers.sqp import SQP
 from kpirl_ocp.reporting import run
 from kpirl_ocp.types import Array
 

@@ -12,11 +12,11 @@ import numpy as np
 from kpirl_ocp import GradientDescent, Implicit, KeypointCost, Riccati, Robot, Unrolled, figures
 from kpirl_ocp.episodes import Episode, read_episodes
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.evaluation import Evaluation, evaluate
-from kpirl_ocp.irl.learned_cost import BASES, LearnedCost, make_basis
-from kpirl_ocp.irl.learning import LearningResult, learn
-from kpirl_ocp.irl.optimisers import LBFGS, Adam, Descent
-from kpirl_ocp.irl.tasks import HORIZON, TASKS, as_demonstration, demonstrate
+from kpirl_ocp.irl.cases.cost_files import BASES, LearnedCost, make_basis
+from kpirl_ocp.irl.cases.tasks import HORIZON, TASKS, as_demonstration, demonstrate
+from kpirl_ocp.irl.learning.evaluation import Evaluation, evaluate
+from kpirl_ocp.irl.learning.learn import LearningResult, learn
+from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Descent
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 OPTIMISERS = {"adam": Adam, "descent": Descent, "lbfgs": LBFGS}

@@ -15,7 +15,7 @@ from reproduction.page import Page
 from reproduction.settings import PRESETS, Preset
 from reproduction.sweep import BACKENDS, Job, Result, backend, run_sweep
 
-from kpirl_ocp.irl.visual_demonstrations import own_demonstration
+from kpirl_ocp.irl.visual.demonstrations import own_demonstration
 from kpirl_ocp.reporting import output_directory, run, write_metrics
 
 

@@ -20,7 +20,7 @@ from kpirl_ocp import (
     keypoint_ocp,
     keypoint_state,
 )
-from kpirl_ocp.ocp.solver import Solver
+from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 

@@ -12,11 +12,11 @@ import numpy as np
 import torch
 
 from kpirl_ocp import figures
-from kpirl_ocp.perception.clips import recordings, unlabelled
-from kpirl_ocp.perception.detector import KeypointDetector
-from kpirl_ocp.perception.detector_evaluation import DetectorScores, score
-from kpirl_ocp.perception.detector_training import PRESETS, TERMS, Trained, train_detector
-from kpirl_ocp.perception.tracks import contact_sheet, track_video
+from kpirl_ocp.perception.data.clips import recordings, unlabelled
+from kpirl_ocp.perception.detector.detector import KeypointDetector
+from kpirl_ocp.perception.detector.evaluation import DetectorScores, score
+from kpirl_ocp.perception.detector.track_images import contact_sheet, track_video
+from kpirl_ocp.perception.detector.training import PRESETS, TERMS, Trained, train_detector
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 

@@ -15,15 +15,15 @@ from reproduction.placing import RATE, SIZE, Setup, set_up
 
 from kpirl_ocp import figures
 from kpirl_ocp.episodes import KeypointTrack
-from kpirl_ocp.irl.visual_control import Controller, Execution
-from kpirl_ocp.irl.visual_demonstrations import positions
-from kpirl_ocp.irl.visual_learning import COSTS, InnerLoop, LearnedPlan, learn_unrolled
-from kpirl_ocp.perception.hand import RATE as FILM_RATE
-from kpirl_ocp.perception.hand import HandScene, placing_path
-from kpirl_ocp.perception.plant import CameraPlant
-from kpirl_ocp.perception.scene import Scene
-from kpirl_ocp.perception.tracks import with_tracks
-from kpirl_ocp.perception.video import Frames, every, write_video
+from kpirl_ocp.irl.visual.closed_loop import Controller, Execution
+from kpirl_ocp.irl.visual.demonstrations import positions
+from kpirl_ocp.irl.visual.learning import COSTS, InnerLoop, LearnedPlan, learn_unrolled
+from kpirl_ocp.perception.data.video import Frames, every, write_video
+from kpirl_ocp.perception.detector.track_images import with_tracks
+from kpirl_ocp.perception.scene.hand import RATE as FILM_RATE
+from kpirl_ocp.perception.scene.hand import HandScene, placing_path
+from kpirl_ocp.perception.scene.plant import CameraPlant
+from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 INNER = InnerLoop(10, 1e-3)  # chosen by scripts/reproduce_paper.py on validation demonstrations

@@ -1,4 +1,4 @@
-"""The implicit function theorem in dense linear algebra: an independent reference for `kpirl_ocp.ocp.response`.
+"""The implicit function theorem in dense linear algebra: an independent reference for `implicit_function`.
 
 One KKT matrix of all unknowns, its derivatives by CasADi's AD of the whole program, numpy's LU.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.kkt import Inequalities, pack, transcribe
+from kpirl_ocp.ocp.conditions.nlp import Inequalities, pack, transcribe
 
 
 def derivative(problem, s0, psi, context, solution):

@@ -1,4 +1,4 @@
-"""Small named problems for tests: those of `kpirl_ocp.irl.examples`, and what is known of them without the package.
+"""Small named problems for tests: those of `examples`, and what is known of them without the package.
 
 The closed forms of the scalar LQR are written in numpy; `derivatives` asks CasADi directly.
 """
@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp import OCP, Default, Demonstration, KeypointCost, Robot, Weighted, keypoint_ocp, keypoint_state
-from kpirl_ocp.irl.examples import CASES, Case, ScalarLQR, descent, free, iiwa, integrator, lqr, pendulum
+from kpirl_ocp.irl.cases.examples import CASES, Case, ScalarLQR, descent, free, iiwa, integrator, lqr, pendulum
 
 __all__ = [
     "CASES",

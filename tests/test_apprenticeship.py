@@ -7,8 +7,8 @@ import pytest
 
 from kpirl_ocp import GradientDescent, KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.apprenticeship import apprenticeship, features, max_margin
-from kpirl_ocp.irl.tasks import as_demonstration, demonstrate
+from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
+from kpirl_ocp.irl.learning.apprenticeship import apprenticeship, features, max_margin
 
 
 def test_one_difference_gives_its_own_direction_and_length_as_margin():

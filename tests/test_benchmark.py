@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from kpirl_ocp import Ipopt, Riccati
-from kpirl_ocp.irl import unrolled
-from kpirl_ocp.ocp import gradient_descent
+from kpirl_ocp.irl.hypergradients import unrolled
+from kpirl_ocp.ocp.solvers import gradient_descent
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 HIDDEN, HORIZON, STEPS = (9, 5), 6, 5

@@ -8,12 +8,12 @@ import pytest
 
 from kpirl_ocp.episodes import episode_path, read_episode, read_meta
 from kpirl_ocp.errors import EpisodeError, ProblemError
-from kpirl_ocp.perception.clips import detect_tracks, recordings, unlabelled
-from kpirl_ocp.perception.collect import collect
-from kpirl_ocp.perception.hand import RATE, HandScene, placing_path, wandering_path
-from kpirl_ocp.perception.motions import MOTIONS, HandPlacing, HandWandering, LastJoint, Placing, Reaching, Sines
-from kpirl_ocp.perception.recordings import ArmRecording, Recording, Truth, read_hand
-from kpirl_ocp.perception.scene import Scene
+from kpirl_ocp.perception.data.clips import detect_tracks, recordings, unlabelled
+from kpirl_ocp.perception.data.collect import collect
+from kpirl_ocp.perception.data.motions import MOTIONS, HandPlacing, HandWandering, LastJoint, Placing, Reaching, Sines
+from kpirl_ocp.perception.data.recordings import ArmRecording, Recording, Truth, read_hand
+from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path, wandering_path
+from kpirl_ocp.perception.scene.scene import Scene
 
 IN_PLANE, OTHERS = [1, 3, 5], [0, 2, 4, 6]  # joints 2, 4, 6 and the others
 SEED = 5

@@ -8,8 +8,8 @@ import pytest
 
 from kpirl_ocp import RBF, Default, Ipopt, KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp, keypoint_state
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.costs import PARAMETRISATIONS
-from kpirl_ocp.ocp.stage_costs import TOGETHER, coefficients_of, stage_costs
+from kpirl_ocp.ocp.models.keypoint_costs import PARAMETRISATIONS
+from kpirl_ocp.ocp.problem.trajectory_cost import TOGETHER, coefficients_of, stage_costs
 
 T = 5
 ROBOT = Robot.from_example_data("ur5", {"tool0": [[0, 0, 0.1], [0.05, 0, 0.2]]})

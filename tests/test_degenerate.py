@@ -25,7 +25,7 @@ from kpirl_ocp import (
     Unrolled,
 )
 from kpirl_ocp.errors import CertificateError
-from kpirl_ocp.irl.hypergradient import HypergradientResult
+from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult
 
 FOLD = 2 / (3 * np.sqrt(3))  # tilt at which the right well of (u^2 - 1)^2 / 4 + p u disappears, at u = 1 / sqrt(3)
 

@@ -11,13 +11,13 @@ import torch
 from safetensors.numpy import load_file, save_file
 
 from kpirl_ocp.errors import EpisodeError, ProblemError
-from kpirl_ocp.perception import detector_losses as losses
-from kpirl_ocp.perception.detector import KeypointDetector
-from kpirl_ocp.perception.detector_evaluation import on_mask, score
-from kpirl_ocp.perception.detector_losses import LossWeights
-from kpirl_ocp.perception.detector_training import PRESETS, TERMS, DetectorSettings, resize, train_detector
-from kpirl_ocp.perception.keypoints import sharpened
-from kpirl_ocp.perception.recordings import Recording
+from kpirl_ocp.perception.data.recordings import Recording
+from kpirl_ocp.perception.detector import losses
+from kpirl_ocp.perception.detector.detector import KeypointDetector
+from kpirl_ocp.perception.detector.evaluation import on_mask, score
+from kpirl_ocp.perception.detector.keypoints import sharpened
+from kpirl_ocp.perception.detector.losses import LossWeights
+from kpirl_ocp.perception.detector.training import PRESETS, TERMS, DetectorSettings, resize, train_detector
 
 torch.set_num_threads(1)
 

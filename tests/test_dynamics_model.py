@@ -10,8 +10,8 @@ from safetensors.numpy import load_file, save_file
 
 from kpirl_ocp.episodes import ArmTrack
 from kpirl_ocp.errors import EpisodeError, ProblemError
-from kpirl_ocp.perception.dynamics import ACTIVATIONS, DynamicsModel
-from kpirl_ocp.perception.dynamics_training import DynamicsSettings, Stretches, score_dynamics, train_dynamics
+from kpirl_ocp.perception.dynamics.model import ACTIVATIONS, DynamicsModel
+from kpirl_ocp.perception.dynamics.training import DynamicsSettings, Stretches, score_dynamics, train_dynamics
 
 torch.set_num_threads(1)
 

@@ -9,7 +9,7 @@ import pytest
 from kpirl_ocp import Robot
 from kpirl_ocp.episodes import Episode, read_episodes, write_episodes
 from kpirl_ocp.errors import EpisodeError, ProblemError
-from kpirl_ocp.irl.tasks import as_demonstration, demonstrate
+from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.motion import minimum_jerk
 
 

@@ -12,9 +12,9 @@ from problems import TABLE
 from kpirl_ocp import Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory, Unrolled
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.export import Controller, export_c
-from kpirl_ocp.ocp.response import Response
-from kpirl_ocp.ocp.sensitivity import Instance
-from kpirl_ocp.ocp.sqp import SQP
+from kpirl_ocp.ocp.sensitivity.implicit_function import Response
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance
+from kpirl_ocp.ocp.solvers.sqp import SQP
 
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
 SETTINGS = {

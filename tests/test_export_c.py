@@ -14,7 +14,7 @@ from problems import TABLE
 
 from kpirl_ocp import Riccati
 from kpirl_ocp.ocp.export import Controller, generated
-from kpirl_ocp.ocp.sqp import SQP, program
+from kpirl_ocp.ocp.solvers.sqp import SQP, program
 
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
 SANITIZED = ("-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")

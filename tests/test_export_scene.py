@@ -12,13 +12,13 @@ from exported import STRICT
 
 from kpirl_ocp import Riccati, load_dynamics
 from kpirl_ocp.assets import shipped_model
-from kpirl_ocp.irl.visual_control import Controller as Loop
-from kpirl_ocp.irl.visual_costs import PlanningCost, planning_problem, without_joints
-from kpirl_ocp.irl.visual_demonstrations import positions
+from kpirl_ocp.irl.visual.closed_loop import Controller as Loop
+from kpirl_ocp.irl.visual.demonstrations import positions
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem, without_joints
 from kpirl_ocp.ocp.export import Controller, export_c
-from kpirl_ocp.perception.detector import KeypointDetector
-from kpirl_ocp.perception.plant import CameraPlant
-from kpirl_ocp.perception.scene import Scene
+from kpirl_ocp.perception.detector.detector import KeypointDetector
+from kpirl_ocp.perception.scene.plant import CameraPlant
+from kpirl_ocp.perception.scene.scene import Scene
 
 HORIZON, RATE = 4, 1  # Hz, of the placing model
 START = np.array([0.0, 0.3, 0.0, -1.7, 0.0, -0.42, 0.0])

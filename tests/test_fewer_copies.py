@@ -7,9 +7,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp.ocp import kernels, native
-from kpirl_ocp.ocp.fewer_copies import with_fewer_copies
-from kpirl_ocp.ocp.sweeps import along
+from kpirl_ocp.ocp.codegen import compiler as native
+from kpirl_ocp.ocp.codegen import kernels
+from kpirl_ocp.ocp.codegen.copy_elision import with_fewer_copies
+from kpirl_ocp.ocp.problem.trajectory_passes import along
 
 STEPS = 3
 needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")

@@ -8,10 +8,10 @@ from problems import TABLE, swing_up
 
 from kpirl_ocp import KeypointCost, Riccati, Status, TimeDependent
 from kpirl_ocp.assets import shipped_model
-from kpirl_ocp.ocp.follow import follow
-from kpirl_ocp.ocp.keypoint_planning import network_ocp
-from kpirl_ocp.ocp.network_files import load_dynamics
-from kpirl_ocp.ocp.stages import values
+from kpirl_ocp.ocp.conditions.stage_derivatives import values
+from kpirl_ocp.ocp.interior_point.feedback_rollout import follow
+from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
+from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 
 
 @pytest.fixture(name="given", params=["swing-up", "iiwa", "tanh network"])

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from kpirl_ocp.errors import EpisodeError, ProblemError
-from kpirl_ocp.perception.hand import RATE, HandScene, placing_path
-from kpirl_ocp.perception.video import read_demonstration, write_video
+from kpirl_ocp.perception.data.video import read_demonstration, write_video
+from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path
 
 
 @pytest.fixture(scope="module")

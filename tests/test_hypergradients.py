@@ -35,7 +35,7 @@ from kpirl_ocp import (
     Unrolled,
 )
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradient import HypergradientResult
+from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult
 
 TIGHT = Ipopt(tolerance=1e-12)
 METHODS = {

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from kpirl_ocp.perception import detector_losses as losses
-from kpirl_ocp.perception.autoencoder import BasicBlock, Encoded, KeypointAutoencoder
-from kpirl_ocp.perception.keypoints import centres, expectation, gaussian_maps, sharpened, spot, to_pixels
+from kpirl_ocp.perception.detector import losses
+from kpirl_ocp.perception.detector.autoencoder import BasicBlock, Encoded, KeypointAutoencoder
+from kpirl_ocp.perception.detector.keypoints import centres, expectation, gaussian_maps, sharpened, spot, to_pixels
 
 torch.set_num_threads(1)
 

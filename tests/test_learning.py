@@ -15,13 +15,13 @@ from kpirl_ocp import (
     keypoint_ocp,
 )
 from kpirl_ocp.errors import CertificateError, ProblemError
-from kpirl_ocp.irl.evaluation import evaluate, relative_distance
-from kpirl_ocp.irl.examples import lqr, pendulum
-from kpirl_ocp.irl.learned_cost import LearnedCost
-from kpirl_ocp.irl.learning import Learner, learn
-from kpirl_ocp.irl.optimisers import LBFGS, Adam, Descent, Point
-from kpirl_ocp.irl.tasks import as_demonstration, demonstrate
-from kpirl_ocp.ocp.ipopt import Ipopt
+from kpirl_ocp.irl.cases.cost_files import LearnedCost
+from kpirl_ocp.irl.cases.examples import lqr, pendulum
+from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
+from kpirl_ocp.irl.learning.evaluation import evaluate, relative_distance
+from kpirl_ocp.irl.learning.learn import Learner, learn
+from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Descent, Point
+from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 
 CURVATURES = np.array([1.0, 10.0, 100.0])
 

@@ -12,8 +12,8 @@ import pytest
 from problems import pendulum
 
 from kpirl_ocp import GradientDescent
-from kpirl_ocp.ocp import native
-from kpirl_ocp.ocp.kernels import with_fast_kernels
+from kpirl_ocp.ocp.codegen import compiler as native
+from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels
 
 needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")
 

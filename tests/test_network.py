@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.activations import ACTIVATIONS
-from kpirl_ocp.ocp.derivatives import DynamicsDerivatives
-from kpirl_ocp.ocp.network import MLP, arrays, from_arrays, jacobian, pull, pull_tangent, push
-from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
-from kpirl_ocp.ocp.network_second import hessian
+from kpirl_ocp.ocp.models.activations import ACTIVATIONS
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.models.mlp import MLP, arrays, from_arrays, jacobian, pull, pull_tangent, push
+from kpirl_ocp.ocp.models.mlp_hessian import hessian
+from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
 
 every_activation = pytest.mark.parametrize("activation", ACTIVATIONS)
 PIECEWISE_LINEAR = ("identity", "leaky_relu", "relu")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from kpirl_ocp.errors import ModelError
-from kpirl_ocp.ocp.network_onnx import load_onnx
+from kpirl_ocp.ocp.models.onnx_files import load_onnx
 
 onnx = pytest.importorskip("onnx")
 reference = pytest.importorskip("onnx.reference")

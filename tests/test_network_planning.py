@@ -25,18 +25,19 @@ from kpirl_ocp import (
     learn,
 )
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl import unrolled
-from kpirl_ocp.irl.learning import Learner
-from kpirl_ocp.irl.loss import squared_distance
-from kpirl_ocp.irl.unrolled_graph import unrolled_function
-from kpirl_ocp.ocp import gradient_descent, native
-from kpirl_ocp.ocp.derivatives import DynamicsDerivatives
-from kpirl_ocp.ocp.keypoint_planning import network_ocp
-from kpirl_ocp.ocp.network import MLP
-from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
-from kpirl_ocp.ocp.network_sweeps import NetworkSweeps
-from kpirl_ocp.ocp.reduced_cost import ReducedCost
-from kpirl_ocp.ocp.sweeps import StageSweeps
+from kpirl_ocp.irl.hypergradients import unrolled
+from kpirl_ocp.irl.hypergradients.loss import squared_distance
+from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
+from kpirl_ocp.irl.learning.learn import Learner
+from kpirl_ocp.ocp.codegen import compiler as native
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.models.keypoint_passes import NetworkSweeps
+from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
+from kpirl_ocp.ocp.models.mlp import MLP
+from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
+from kpirl_ocp.ocp.problem.reduced_cost import ReducedCost
+from kpirl_ocp.ocp.problem.trajectory_passes import StageSweeps
+from kpirl_ocp.ocp.solvers import gradient_descent
 
 HORIZON, STEPS = 5, 4
 KERNELS = RBF(3)

@@ -7,8 +7,8 @@ import pytest
 from problems import TABLE
 
 from kpirl_ocp import Riccati
-from kpirl_ocp.ocp.interior_point import CORRECTED
-from kpirl_ocp.ocp.newton import Newton, longest, shortened
+from kpirl_ocp.ocp.interior_point.iterate import Newton, longest, shortened
+from kpirl_ocp.ocp.interior_point.newton_step import CORRECTED
 
 BOUNDED = [name for name in TABLE if name not in ("lqr", "pendulum")]
 LEAST = 1e-9

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from safetensors.numpy import load_file
 
-from kpirl_ocp.perception.clips import recordings
-from kpirl_ocp.perception.detector import KeypointDetector
-from kpirl_ocp.perception.dynamics import DynamicsModel
+from kpirl_ocp.perception.data.clips import recordings
+from kpirl_ocp.perception.detector.detector import KeypointDetector
+from kpirl_ocp.perception.dynamics.model import DynamicsModel
 
 ROOT = Path(__file__).parents[1]
 

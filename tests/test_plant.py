@@ -8,12 +8,12 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("cv2")
 
-from kpirl_ocp.perception.bodies import BOTTLE
-from kpirl_ocp.perception.camera import Camera
-from kpirl_ocp.perception.plant import CameraPlant, Disturbance, in_plane
-from kpirl_ocp.perception.posture import carry
-from kpirl_ocp.perception.scene import Scene
-from kpirl_ocp.perception.world import Frame
+from kpirl_ocp.perception.scene.bodies import BOTTLE
+from kpirl_ocp.perception.scene.camera import Camera
+from kpirl_ocp.perception.scene.plant import CameraPlant, Disturbance, in_plane
+from kpirl_ocp.perception.scene.posture import carry
+from kpirl_ocp.perception.scene.scene import Scene
+from kpirl_ocp.perception.scene.world import Frame
 
 
 @dataclass

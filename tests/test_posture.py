@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.perception.posture import UPRIGHT, carry
-from kpirl_ocp.perception.scene import Motors, Scene
+from kpirl_ocp.perception.scene.posture import UPRIGHT, carry
+from kpirl_ocp.perception.scene.scene import Motors, Scene
 
 SHOULDER, UPPER_ARM, FOREARM, HAND = 0.36, 0.42, 0.40, 0.196  # [m], from the URDF of the iiwa
 PLACES = np.random.default_rng(0).uniform([0.56, 0.42, UPRIGHT - 0.3], [0.76, 0.72, UPRIGHT + 0.3], (50, 3))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from kpirl_ocp.ocp.recursion import condense, factorise, substitute
+from kpirl_ocp.ocp.linear.riccati_recursion import condense, factorise, substitute
 
 
 class Sizes(NamedTuple):

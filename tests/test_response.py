@@ -9,10 +9,10 @@ from dense_kkt import derivative
 from problems import TABLE, network, swing_up
 
 from kpirl_ocp import Ipopt, Riccati
-from kpirl_ocp.ocp.factorisation import Factorisation
-from kpirl_ocp.ocp.kkt import pack
-from kpirl_ocp.ocp.response import Response
-from kpirl_ocp.ocp.sensitivity import Instance, PrimalDual, linearise
+from kpirl_ocp.ocp.conditions.nlp import pack
+from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
+from kpirl_ocp.ocp.sensitivity.implicit_function import Response
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, PrimalDual, linearise
 
 CASES = TABLE | {
     "swing-up, 45 steps": lambda: swing_up(45),

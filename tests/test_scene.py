@@ -6,9 +6,9 @@ import pybullet
 import pytest
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.kinematics import Robot
-from kpirl_ocp.perception.camera import Camera
-from kpirl_ocp.perception.scene import Motors, Scene
+from kpirl_ocp.ocp.models.robot import Robot
+from kpirl_ocp.perception.scene.camera import Camera
+from kpirl_ocp.perception.scene.scene import Motors, Scene
 
 UPRIGHT = np.array([0.0, 0.6, 0.0, -1.4, 0.0, -0.43, 0.0])  # holds the bottle upright above the shelf
 PLACING = np.vstack([np.tile([0, 0.05, 0, 0.02, 0, 0.03, 0], (5, 1)), np.tile([0, 0.04, 0, -0.06, 0, 0, 0], (5, 1))])

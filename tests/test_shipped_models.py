@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from kpirl_ocp.assets import shipped_model
-from kpirl_ocp.ocp.network_files import load_dynamics
-from kpirl_ocp.perception.clips import detect_tracks, recordings
-from kpirl_ocp.perception.collect import collect
-from kpirl_ocp.perception.detector import KeypointDetector
-from kpirl_ocp.perception.detector_evaluation import score
-from kpirl_ocp.perception.dynamics import DynamicsModel
-from kpirl_ocp.perception.dynamics_training import score_dynamics
-from kpirl_ocp.perception.motions import HandPlacing, LastJoint, Placing, Sines
+from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
+from kpirl_ocp.perception.data.clips import detect_tracks, recordings
+from kpirl_ocp.perception.data.collect import collect
+from kpirl_ocp.perception.data.motions import HandPlacing, LastJoint, Placing, Sines
+from kpirl_ocp.perception.detector.detector import KeypointDetector
+from kpirl_ocp.perception.detector.evaluation import score
+from kpirl_ocp.perception.dynamics.model import DynamicsModel
+from kpirl_ocp.perception.dynamics.training import score_dynamics
 
 SEED = 4321  # of no training or test data
 MOTIONS = {

@@ -10,7 +10,7 @@ from problems import integrator, pendulum
 
 from kpirl_ocp import OCP, GradientDescent, Ipopt, Riccati, Status
 from kpirl_ocp.errors import ProblemError, SolveError
-from kpirl_ocp.ocp.kkt import audit
+from kpirl_ocp.ocp.conditions.nlp import audit
 from kpirl_ocp.types import Trajectory
 
 INF = np.inf

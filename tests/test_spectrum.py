@@ -4,8 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp.ocp.filter import Filter
-from kpirl_ocp.ocp.spectrum import lanczos, magnitude, outermost, start
+from kpirl_ocp.ocp.interior_point.filter import Filter
+from kpirl_ocp.ocp.linear.lanczos import lanczos, magnitude, outermost, start
 
 RNG = np.random.default_rng(0)
 

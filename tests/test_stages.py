@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from problems import TABLE, integrator, network
 
-from kpirl_ocp.ocp import kkt_solves, kkt_spectra, stages
-from kpirl_ocp.ocp.calls import Call, call
-from kpirl_ocp.ocp.derivatives import DynamicsDerivatives, Staged
-from kpirl_ocp.ocp.kkt import transcribe
-from kpirl_ocp.ocp.kkt_blocks import flat
-from kpirl_ocp.ocp.lagrangian import Lagrangian, lagrangian_symbols
-from kpirl_ocp.ocp.sensitivity import Instance, PrimalDual, linearise
+from kpirl_ocp.ocp.codegen.numpy_calls import Call, call
+from kpirl_ocp.ocp.conditions import stage_derivatives as stages
+from kpirl_ocp.ocp.conditions.hessian_products import Lagrangian, lagrangian_symbols
+from kpirl_ocp.ocp.conditions.nlp import transcribe
+from kpirl_ocp.ocp.linear.kkt_operators import flat
+from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives, Staged
+from kpirl_ocp.ocp.sensitivity import conditioning as kkt_spectra
+from kpirl_ocp.ocp.sensitivity import refinement as kkt_solves
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, PrimalDual, linearise
 
 RNG = np.random.default_rng(0)
 

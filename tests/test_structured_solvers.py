@@ -13,13 +13,13 @@ from problems import TABLE, integrator, network, swing_up
 
 from kpirl_ocp import OCP, Fatrop, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp import native
-from kpirl_ocp.ocp.calls import call
+from kpirl_ocp.ocp.codegen import compiler as native
+from kpirl_ocp.ocp.codegen.numpy_calls import call
+from kpirl_ocp.ocp.conditions.nlp import audit
+from kpirl_ocp.ocp.conditions.stage_derivatives import second
 from kpirl_ocp.ocp.export.resident import _resident, latest, resident
-from kpirl_ocp.ocp.kkt import audit
-from kpirl_ocp.ocp.riccati import _Run
-from kpirl_ocp.ocp.sensitivity import Instance, primal_dual
-from kpirl_ocp.ocp.stages import second
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, primal_dual
+from kpirl_ocp.ocp.solvers.riccati import _Run
 
 SOLVERS = {"riccati": (Riccati(), 1e-8, 1e-6), "fatrop": (Fatrop(), 1e-6, 1e-4)}  # solver, objective, multipliers
 

@@ -7,16 +7,15 @@ import pytest
 
 from kpirl_ocp.episodes import ArmTrack, KeypointTrack
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.evaluation import relative_distance
-from kpirl_ocp.irl.visual_control import Controller, Sight
-from kpirl_ocp.irl.visual_costs import PlanningCost, planning_problem, without_joints
-from kpirl_ocp.irl.visual_demonstrations import (
+from kpirl_ocp.irl.learning.evaluation import relative_distance
+from kpirl_ocp.irl.visual.closed_loop import Controller, Sight
+from kpirl_ocp.irl.visual.demonstrations import (
     moving_keypoints,
     own_demonstration,
     positions,
     transferred_demonstration,
 )
-from kpirl_ocp.irl.visual_learning import (
+from kpirl_ocp.irl.visual.learning import (
     CONVERGED,
     COSTS,
     InnerLoop,
@@ -24,10 +23,11 @@ from kpirl_ocp.irl.visual_learning import (
     learn_implicit,
     learn_unrolled,
 )
-from kpirl_ocp.ocp.costs import KeypointCost
-from kpirl_ocp.ocp.keypoint_planning import network_ocp
-from kpirl_ocp.ocp.network import MLP
-from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem, without_joints
+from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
+from kpirl_ocp.ocp.models.mlp import MLP
 from kpirl_ocp.types import Demonstration
 
 T, K, N_Q = 6, 2, 3

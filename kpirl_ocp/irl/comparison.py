@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from kpirl_ocp.irl.examples import CASES, Case, descent, free
-from kpirl_ocp.irl.finite_difference import FiniteDifference
-from kpirl_ocp.irl.hypergradient import Hypergradient
-from kpirl_ocp.irl.implicit import Implicit
-from kpirl_ocp.irl.learning import LearningResult, learn
-from kpirl_ocp.irl.optimisers import Adam
-from kpirl_ocp.irl.unrolled import Truncated, Unrolled
-from kpirl_ocp.ocp.ipopt import Ipopt
+from kpirl_ocp.irl.cases.examples import CASES, Case, descent, free
+from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
+from kpirl_ocp.irl.hypergradients.finite_difference import FiniteDifference
+from kpirl_ocp.irl.hypergradients.implicit import Implicit
+from kpirl_ocp.irl.hypergradients.unrolled import Truncated, Unrolled
+from kpirl_ocp.irl.learning.learn import LearningResult, learn
+from kpirl_ocp.irl.learning.optimisers import Adam
+from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 from kpirl_ocp.types import Array
 
 TRUNCATION = 10  # steps that Truncated goes back

@@ -13,20 +13,20 @@ from pathlib import Path
 import numpy as np
 
 from kpirl_ocp.episodes import Episode, read_episodes
-from kpirl_ocp.irl.apprenticeship import apprenticeship
-from kpirl_ocp.irl.evaluation import evaluate
-from kpirl_ocp.irl.implicit import Implicit
-from kpirl_ocp.irl.learning import LearningResult, learn
-from kpirl_ocp.irl.optimisers import LBFGS, Adam
-from kpirl_ocp.irl.tasks import HORIZON, as_demonstration
-from kpirl_ocp.irl.unrolled import Unrolled
-from kpirl_ocp.ocp.costs import Default, KeypointCost, Weighted
-from kpirl_ocp.ocp.gradient_descent import GradientDescent
-from kpirl_ocp.ocp.keypoint_planning import keypoint_ocp
-from kpirl_ocp.ocp.kinematics import Robot
-from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.riccati import Riccati
-from kpirl_ocp.ocp.solver import Solver
+from kpirl_ocp.irl.cases.tasks import HORIZON, as_demonstration
+from kpirl_ocp.irl.hypergradients.implicit import Implicit
+from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
+from kpirl_ocp.irl.learning.apprenticeship import apprenticeship
+from kpirl_ocp.irl.learning.evaluation import evaluate
+from kpirl_ocp.irl.learning.learn import LearningResult, learn
+from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam
+from kpirl_ocp.ocp.models.keypoint_costs import Default, KeypointCost, Weighted
+from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp
+from kpirl_ocp.ocp.models.robot import Robot
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
+from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, Demonstration
 
 

@@ -14,8 +14,8 @@ from bench.problem import N_Q, N_Z, Data
 from bench.settings import Preset
 from bench.timing import Timing, interleaved
 from kpirl_ocp import GradientDescent
-from kpirl_ocp.irl.loss import squared_distance
-from kpirl_ocp.irl.unrolled_graph import unrolled_function
+from kpirl_ocp.irl.hypergradients.loss import squared_distance
+from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 
 _SQUARES = (64, 128, 192, 256)  # the largest fills half a megabyte
 _WORK = 4e6  # operations in one timed call

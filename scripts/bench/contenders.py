@@ -11,10 +11,10 @@ import numpy as np
 
 from bench.problem import N_Q, Data
 from kpirl_ocp import GradientDescent, Unrolled
-from kpirl_ocp.irl.loss import squared_distance
-from kpirl_ocp.irl.unrolled_graph import unrolled_function
-from kpirl_ocp.ocp.calls import Call
-from kpirl_ocp.ocp.native import compiled
+from kpirl_ocp.irl.hypergradients.loss import squared_distance
+from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
+from kpirl_ocp.ocp.codegen.compiler import compiled
+from kpirl_ocp.ocp.codegen.numpy_calls import Call
 from kpirl_ocp.types import Array
 
 Evaluation = Callable[[], tuple[float, Array]]

@@ -18,10 +18,10 @@ from bench.part import Numbers, Part, Table
 from bench.problem import N_Z, Data, random_network, trained_network
 from bench.settings import Preset
 from kpirl_ocp import Ipopt, Riccati, Solution
+from kpirl_ocp.ocp.codegen.shared_library import NATIVE, PORTABLE
 from kpirl_ocp.ocp.export import Controller, export_c
-from kpirl_ocp.ocp.export.build import NATIVE, PORTABLE
-from kpirl_ocp.ocp.solver import Solver
-from kpirl_ocp.ocp.sqp import SQP
+from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.ocp.solvers.sqp import SQP
 
 BARRIER = 1e-2
 REAL_TIME, CONVERGED = "real-time iteration", "converged to 1e-8"

@@ -7,7 +7,7 @@ from bench.problem import random_network
 from bench.settings import Preset
 from bench.timing import interleaved
 from kpirl_ocp import Riccati
-from kpirl_ocp.irl.implicit import differentiate
+from kpirl_ocp.irl.hypergradients.implicit import differentiate
 
 
 def measure(preset: Preset) -> Part:

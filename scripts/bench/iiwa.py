@@ -8,8 +8,8 @@ from bench.part import Part, Table
 from bench.settings import Preset
 from bench.timing import interleaved
 from kpirl_ocp import GradientDescent, Implicit, KeypointCost, Riccati, Robot, Unrolled, keypoint_ocp
-from kpirl_ocp.irl.hypergradient import Hypergradient
-from kpirl_ocp.irl.tasks import HORIZON, as_demonstration, demonstrate
+from kpirl_ocp.irl.cases.tasks import HORIZON, as_demonstration, demonstrate
+from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 
 
 def measure(preset: Preset) -> Part:

@@ -7,7 +7,7 @@ from bench.problem import Data
 from bench.settings import Preset
 from bench.timing import interleaved
 from kpirl_ocp import GradientDescent, Implicit, Riccati, Unrolled
-from kpirl_ocp.irl.implicit import differentiate
+from kpirl_ocp.irl.hypergradients.implicit import differentiate
 
 SOLVE, GRADIENT, BOTH = "solve to 1e-10", "gradient and certificate", "Implicit(Riccati())"
 

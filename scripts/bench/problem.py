@@ -15,8 +15,8 @@ import numpy as np
 
 from kpirl_ocp import MLP, Demonstration, KeypointCost, NetworkDynamics, TimeDependent, load_dynamics, network_ocp
 from kpirl_ocp.assets import shipped_model
-from kpirl_ocp.irl.visual_costs import without_joints
-from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.irl.visual.planning_costs import without_joints
+from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
 
 N_Z, N_Q = 8, 7

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from bench.contenders import NAMES, OURS
 from bench.problem import Data, random_network, trained_network
 from kpirl_ocp import RBF, TimeDependent, Weighted
-from kpirl_ocp.ocp.costs import Basis
+from kpirl_ocp.ocp.models.keypoint_costs import Basis
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from bench.settings import Preset
 from bench.stage_ipopt import StageIpopt
 from bench.timing import Timing, interleaved
 from kpirl_ocp import Fatrop, Ipopt, Riccati, Solution
-from kpirl_ocp.ocp.solver import Solver
+from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.types import Trajectory
 
 TOLERANCE = 1e-6

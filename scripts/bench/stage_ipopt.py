@@ -8,9 +8,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.kkt import pack, transcribe, unpack
-from kpirl_ocp.ocp.native import compiled
-from kpirl_ocp.ocp.problem import OCP
+from kpirl_ocp.ocp.codegen.compiler import compiled
+from kpirl_ocp.ocp.conditions.nlp import pack, transcribe, unpack
+from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Trajectory
 
 

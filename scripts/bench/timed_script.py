@@ -12,7 +12,7 @@ from pathlib import Path
 import casadi as ca
 
 import kpirl_ocp  # noqa: F401  imports every module that compiles
-from kpirl_ocp.ocp import native
+from kpirl_ocp.ocp.codegen import compiler as native
 
 _compiled, spent = native.compiled, []
 

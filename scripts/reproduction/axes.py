@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from kpirl_ocp.episodes import ArmTrack
-from kpirl_ocp.irl.evaluation import evaluate
-from kpirl_ocp.irl.visual_costs import planning_problem
-from kpirl_ocp.irl.visual_demonstrations import own_demonstration
+from kpirl_ocp.irl.learning.evaluation import evaluate
+from kpirl_ocp.irl.visual.demonstrations import own_demonstration
+from kpirl_ocp.irl.visual.planning_costs import planning_problem
 from kpirl_ocp.types import Demonstration
 from reproduction import reaching
 from reproduction.data import Models

@@ -13,13 +13,13 @@ import torch
 from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.episodes import ArmTrack, KeypointTrack
 from kpirl_ocp.errors import ModelError
-from kpirl_ocp.irl.visual_costs import without_joints
-from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
-from kpirl_ocp.ocp.network_files import load_dynamics
-from kpirl_ocp.perception.clips import detect_tracks, recordings
-from kpirl_ocp.perception.collect import collect
-from kpirl_ocp.perception.detector import KeypointDetector
-from kpirl_ocp.perception.motions import HandPlacing, Reaching
+from kpirl_ocp.irl.visual.planning_costs import without_joints
+from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.perception.data.clips import detect_tracks, recordings
+from kpirl_ocp.perception.data.collect import collect
+from kpirl_ocp.perception.data.motions import HandPlacing, Reaching
+from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.types import Array
 
 # Seeds of the collections; no model was trained or scored on them.

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from kpirl_ocp.figures import COLOURS, GREY, bands, new_figure
-from kpirl_ocp.perception.keypoints import to_pixels
+from kpirl_ocp.perception.detector.keypoints import to_pixels
 from kpirl_ocp.types import Array
 from reproduction.placing import SIZE
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kpirl_ocp.errors import CertificateError, ProblemError
-from kpirl_ocp.irl.evaluation import evaluate
-from kpirl_ocp.irl.visual_costs import PlanningCost, planning_problem
-from kpirl_ocp.irl.visual_learning import (
+from kpirl_ocp.irl.learning.evaluation import evaluate
+from kpirl_ocp.irl.visual.learning import (
     CONVERGED,
     COSTS,
     InnerLoop,
@@ -20,7 +19,8 @@ from kpirl_ocp.irl.visual_learning import (
     learn_implicit,
     learn_unrolled,
 )
-from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.types import Demonstration
 from reproduction.data import Models
 from reproduction.settings import PAPER_LOOP

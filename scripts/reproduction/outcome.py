@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kpirl_ocp.irl.visual_learning import InnerLoop
+from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.types import Array
 from reproduction import axes, placing, reaching, robustness
 from reproduction.learning import (

@@ -13,14 +13,14 @@ from functools import lru_cache
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.visual_control import Controller, Execution
-from kpirl_ocp.irl.visual_demonstrations import positions, transferred_demonstration
-from kpirl_ocp.irl.visual_learning import InnerLoop
-from kpirl_ocp.ocp.network_dynamics import NetworkDynamics
-from kpirl_ocp.perception.keypoints import to_pixels
-from kpirl_ocp.perception.plant import CameraPlant, Disturbance, in_plane
-from kpirl_ocp.perception.posture import UPRIGHT, carry
-from kpirl_ocp.perception.scene import Scene
+from kpirl_ocp.irl.visual.closed_loop import Controller, Execution
+from kpirl_ocp.irl.visual.demonstrations import positions, transferred_demonstration
+from kpirl_ocp.irl.visual.learning import InnerLoop
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.perception.detector.keypoints import to_pixels
+from kpirl_ocp.perception.scene.plant import CameraPlant, Disturbance, in_plane
+from kpirl_ocp.perception.scene.posture import UPRIGHT, carry
+from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array, Demonstration
 from reproduction.data import HandClip, Models
 from reproduction.learning import (

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from kpirl_ocp.episodes import ArmTrack
-from kpirl_ocp.irl.evaluation import evaluate, relative_distance
-from kpirl_ocp.irl.visual_control import Controller
-from kpirl_ocp.irl.visual_costs import planning_problem
-from kpirl_ocp.irl.visual_demonstrations import moving_keypoints, own_demonstration, positions
-from kpirl_ocp.irl.visual_learning import InnerLoop
+from kpirl_ocp.irl.learning.evaluation import evaluate, relative_distance
+from kpirl_ocp.irl.visual.closed_loop import Controller
+from kpirl_ocp.irl.visual.demonstrations import moving_keypoints, own_demonstration, positions
+from kpirl_ocp.irl.visual.learning import InnerLoop
+from kpirl_ocp.irl.visual.planning_costs import planning_problem
 from kpirl_ocp.types import Demonstration, Mask
 from reproduction.data import Models
 from reproduction.learning import (
@@ -128,8 +128,8 @@ def execution_jobs(
 
 def execute(models: Models, tracks: list[ArmTrack], learned: Result, closed_loop: bool) -> Result:
     """From the start of every test demonstration: relative distances (n_test,) as seen, and tracking errors [rad]."""
-    from kpirl_ocp.perception.plant import CameraPlant
-    from kpirl_ocp.perception.scene import Scene
+    from kpirl_ocp.perception.scene.plant import CameraPlant
+    from kpirl_ocp.perception.scene.scene import Scene
 
     dynamics, detector = models.load_dynamics("reaching"), models.load_detector()
     controller = Controller.build(dynamics, unpacked(learned), closed_loop)

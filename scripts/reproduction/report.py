@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from kpirl_ocp.irl.cases.tasks import TASKS
 from kpirl_ocp.irl.study import METHODS as STUDY_METHODS
-from kpirl_ocp.irl.tasks import TASKS
 from kpirl_ocp.types import Array
 from reproduction import axes, drawing, placing, reaching, robustness
 from reproduction.learning import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kpirl_ocp.irl.visual_learning import InnerLoop
+from kpirl_ocp.irl.visual.learning import InnerLoop
 
 STARTS = (1, 2)
 # The paper's inner loop: alpha of section 5, and N of the authors' code, which the paper does not state.

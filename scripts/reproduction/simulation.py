@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from kpirl_ocp.irl.cases.tasks import TASKS, write_demonstrations
 from kpirl_ocp.irl.study import StudySettings, run_case
-from kpirl_ocp.irl.tasks import TASKS, write_demonstrations
-from kpirl_ocp.ocp.kinematics import Robot
+from kpirl_ocp.ocp.models.robot import Robot
 from reproduction.settings import Preset
 from reproduction.sweep import Job, Result
 

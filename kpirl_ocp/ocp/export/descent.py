@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import casadi as ca
 
-from kpirl_ocp.ocp.export.target import Target, dynamics
-from kpirl_ocp.ocp.gradient_descent import GradientDescent, check_constraints, symbols
-from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.reduced_cost import Linearisation, ReducedCost
-from kpirl_ocp.ocp.stage_costs import Coefficients
-from kpirl_ocp.ocp.sweeps import Adjoint
+from kpirl_ocp.ocp.codegen.target import Target, dynamics
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
+from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
+from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints, symbols
 
 
 def target(problem: OCP, solver: GradientDescent) -> Target:

@@ -12,13 +12,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.ocp.export import generated, templates
+from kpirl_ocp.ocp.codegen import portable_c as generated
+from kpirl_ocp.ocp.codegen import templates
+from kpirl_ocp.ocp.codegen.target import Target
+from kpirl_ocp.ocp.codegen.templates import LICENCE, PREFIX
 from kpirl_ocp.ocp.export.records import header, number, numbers, record
-from kpirl_ocp.ocp.export.target import Target
 from kpirl_ocp.ocp.export.targets import target_of
-from kpirl_ocp.ocp.export.templates import LICENCE, PREFIX
-from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.solver import Solver
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.types import Array
 
 FORMAT = 1  # of the folder and its C interface

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.ocp.export.templates import LICENCE, PREFIX
-from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.solver import Solver
+from kpirl_ocp.ocp.codegen.templates import LICENCE, PREFIX
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.types import Array, Solution, Status
 
 

@@ -1,6 +1,6 @@
 """The interior-point method as machine code in this process: the C of an export, compiled into the cache and loaded.
 
-It takes the same steps as `kpirl_ocp.ocp.riccati` in Python, and they differ by rounding alone. What is left for Python
+It takes the same steps as `riccati` in Python, and they differ by rounding alone. What is left for Python
 is to hand over arrays.
 """
 
@@ -18,17 +18,18 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.ocp import native
-from kpirl_ocp.ocp.calls import worth_compiling
-from kpirl_ocp.ocp.export import generated, templates
-from kpirl_ocp.ocp.export.binding import GUESS, Structures, address
-from kpirl_ocp.ocp.export.controller import status_of
+from kpirl_ocp.ocp.codegen import compiler as native
+from kpirl_ocp.ocp.codegen import portable_c as generated
+from kpirl_ocp.ocp.codegen import templates
+from kpirl_ocp.ocp.codegen.c_structures import GUESS, Structures, address
+from kpirl_ocp.ocp.codegen.kernels import SOURCES
+from kpirl_ocp.ocp.codegen.numpy_calls import worth_compiling
+from kpirl_ocp.ocp.export.exported_solver import status_of
 from kpirl_ocp.ocp.export.folder import dimensions, sources
 from kpirl_ocp.ocp.export.riccati import target
-from kpirl_ocp.ocp.kernels import SOURCES
-from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.riccati import Riccati
-from kpirl_ocp.ocp.solver import Guess
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Trajectory
 
 _MOST_ITERATIONS = 1000  # that the memory of a filter is made for, unless a solver wants more

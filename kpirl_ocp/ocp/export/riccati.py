@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import casadi as ca
 
-from kpirl_ocp.ocp.export.target import Target, dynamics
-from kpirl_ocp.ocp.follow import follow
-from kpirl_ocp.ocp.influence import pull
-from kpirl_ocp.ocp.interior_point import corrected_step, newton_step, rows
-from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.riccati import Riccati
-from kpirl_ocp.ocp.stages import first, second, values
+from kpirl_ocp.ocp.codegen.target import Target, dynamics
+from kpirl_ocp.ocp.conditions.parameter_derivatives import pull
+from kpirl_ocp.ocp.conditions.stage_derivatives import first, second, values
+from kpirl_ocp.ocp.interior_point.feedback_rollout import follow
+from kpirl_ocp.ocp.interior_point.newton_step import corrected_step, newton_step, rows
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.solvers.riccati import Riccati
 
 
 def target(problem: OCP, solver: Riccati) -> Target:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from kpirl_ocp.ocp.export.target import Target, dynamics
-from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.sqp import SQP, program
-from kpirl_ocp.ocp.stages import first
+from kpirl_ocp.ocp.codegen.target import Target, dynamics
+from kpirl_ocp.ocp.conditions.stage_derivatives import first
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.solvers.sqp import SQP, program
 
 
 def target(problem: OCP, solver: SQP) -> Target:

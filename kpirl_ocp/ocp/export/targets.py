@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.codegen.target import Target
 from kpirl_ocp.ocp.export import descent, riccati, sqp
-from kpirl_ocp.ocp.export.target import Target
-from kpirl_ocp.ocp.gradient_descent import GradientDescent
-from kpirl_ocp.ocp.problem import OCP
-from kpirl_ocp.ocp.riccati import Riccati
-from kpirl_ocp.ocp.solver import Solver
-from kpirl_ocp.ocp.sqp import SQP
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
+from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.ocp.solvers.sqp import SQP
 
 ALTERNATIVES = (
     "Riccati() iterates until convergence, Riccati(steps=1, barrier=1e-2) is the real-time iteration, "

@@ -1,0 +1,1 @@
+"""Example problems, the tasks of the paper, and files of learned costs."""

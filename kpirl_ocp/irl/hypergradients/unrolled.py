@@ -1,0 +1,184 @@
+"""Differentiate through the gradient steps of the inner loop (the paper's way; Algorithm 1).
+
+With u_{k+1} = Phi(u_k, psi), k = 0..N-1, and the loss L(u_N), reverse accumulation is one sweep over the steps:
+
+    v_N = dL/du,    v_k = (dPhi/du)^T v_{k+1},    dL/dpsi = dL/dpsi|_u + sum_k (dPhi/dpsi)^T v_{k+1}.
+
+`Unrolled` takes all terms. `Truncated` keeps the last k; at a converged point that is the k-term Neumann series of the
+implicit gradient (Shaban et al., Truncated Back-propagation for Bilevel Optimization, 2019).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.irl.hypergradients.certificate import (
+    Certificate,
+    HypergradientResult,
+    Policy,
+    check_policy,
+    enforce,
+    not_finite,
+    seen,
+)
+from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
+from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
+from kpirl_ocp.ocp.codegen.compiler import compiled
+from kpirl_ocp.ocp.codegen.numpy_calls import own
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints, finish
+from kpirl_ocp.types import Array, Demonstration, Solution
+
+# An iterate this close to a bound before projection [units of u] sits on the kink of the projection.
+_KINK = 1e-12
+# Share of the adjoint that truncation may leave out before the gradient counts as approximate.
+_REMAINDER = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnrolledCertificate(Certificate):
+    """Evidence for a gradient through gradient steps.
+
+    steps: N. differentiated: how many of the last steps the sweep went through.
+    remainder: |v_{N-k}| / |v_N|, the adjoint that the sweep stopped with; it multiplies everything left out.
+    kink_distance: smallest distance of an unprojected iterate to its bound; infinite without projection.
+    """
+
+    steps: int
+    differentiated: int
+    remainder: float
+    kink_distance: float
+
+
+@dataclass(frozen=True)
+class Unrolled:
+    """The exact gradient of the loss after all N steps.
+
+    It is the derivative of what the steps do, whether or not they converge: `certificate.solution.status` says that.
+
+    solver: the gradient descent to unroll; no other solver can be.
+    loss: IRL loss.
+    policy: "raise" or "flag" when the gradient is not certified (NaN, or an iterate on the kink of the projection).
+    checkpoint: remember every sqrt(N)-th iterate only and take the steps between again: memory O(sqrt N), and one more
+        forward pass.
+    """
+
+    solver: GradientDescent
+    loss: Loss = squared_distance
+    policy: Policy = "raise"
+    checkpoint: bool = False
+
+    def __post_init__(self) -> None:
+        _check(self.solver, self.policy)
+
+    def __call__(
+        self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
+    ) -> HypergradientResult:
+        """See `Hypergradient`."""
+        return self.together(problem, [demonstration], psi, guess)[0]
+
+    def together(
+        self, problem: OCP, demonstrations: Sequence[Demonstration], psi: ArrayLike, guess: Guess = None
+    ) -> list[HypergradientResult]:
+        """The same for several demonstrations in one call, with matrix products where one has matrix times vector."""
+        steps = self.solver.steps
+        results = sweep(problem, self.solver, self.loss, steps, demonstrations, psi, guess, self.checkpoint)
+        return [enforce(self.policy, result) for result in results]
+
+
+@dataclass(frozen=True)
+class Truncated:
+    """The gradient through the last steps only: biased on purpose, and flagged unless the remainder vanishes.
+
+    last: k, how many of the solver's steps to go back.
+    policy: "flag" by default, because leaving terms out is what the caller asked for.
+    """
+
+    solver: GradientDescent
+    last: int
+    loss: Loss = squared_distance
+    policy: Policy = "flag"
+
+    def __post_init__(self) -> None:
+        _check(self.solver, self.policy)
+        if not 1 <= self.last <= self.solver.steps:
+            raise ProblemError(f"last must be between 1 and the solver's {self.solver.steps} steps, got {self.last}.")
+
+    def __call__(
+        self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
+    ) -> HypergradientResult:
+        """See `Hypergradient`."""
+        results = sweep(problem, self.solver, self.loss, self.last, [demonstration], psi, guess)
+        return enforce(self.policy, results[0])
+
+
+def _check(solver: GradientDescent, policy: str) -> None:
+    if not isinstance(solver, GradientDescent):
+        name = type(solver).__name__
+        raise ProblemError(f"only GradientDescent can be unrolled, not {name}: use Implicit({name}()).")
+    check_policy(policy, ("raise", "flag"))
+
+
+def sweep(
+    problem: OCP,
+    solver: GradientDescent,
+    loss: Loss,
+    last: int,
+    demonstrations: Sequence[Demonstration],
+    psi: ArrayLike,
+    guess: Guess = None,
+    checkpoint: bool = False,
+) -> list[HypergradientResult]:
+    """Descend N steps, then accumulate the gradient back through the last ones; demonstrations side by side."""
+    check_constraints(problem, solver.project)
+    inputs = [problem.inputs(demonstration.s0, psi, demonstration.context) for demonstration in demonstrations]
+    starts, psis, contexts = (np.concatenate(parts) for parts in zip(*inputs, strict=True))
+    actions = np.tile(guess_actions(problem, guess), (len(inputs), 1))
+    observed = np.concatenate([seen(problem, demonstration).T for demonstration in demonstrations])
+    evaluate = own(_function(problem, solver, loss, last, checkpoint, len(inputs)))
+    (outputs,) = evaluate(actions, starts, psis, contexts, observed)
+    return [_result(problem, solver, last, output) for output in outputs.reshape(len(inputs), -1)]
+
+
+def _result(problem: OCP, solver: GradientDescent, last: int, output: Array) -> HypergradientResult:
+    """From one column of `unrolled_function`."""
+    value, remainder, kink, initial = output[:4].tolist()
+    gradient, point = output[4 : 4 + problem.n_parameters], output[4 + problem.n_parameters :]
+    solution = finish(problem, solver, initial, point)
+    certificate = UnrolledCertificate(
+        solution=solution,
+        failures=tuple(_failures(solution, value, gradient, remainder, kink, solver.steps - last)),
+        steps=solver.steps,
+        differentiated=last,
+        remainder=remainder,
+        kink_distance=kink,
+    )
+    return HypergradientResult(value, gradient, certificate)
+
+
+def _failures(
+    solution: Solution, loss: float, gradient: Array, remainder: float, kink: float, left_out: int
+) -> list[str]:
+    failures = not_finite(loss, gradient)
+    if not np.isfinite(solution.objective):
+        failures.append("The inner cost is NaN or infinite: look at the solution's status and the cost.")
+    if left_out and not remainder <= _REMAINDER:
+        failures.append(f"Truncated: the first {left_out} steps are left out, with {remainder:.1e} of the adjoint.")
+    if not kink > _KINK:
+        failures.append("An iterate touches an action bound with zero force: the projection has no derivative there.")
+    return failures
+
+
+@lru_cache(maxsize=64)
+def _function(
+    problem: OCP, solver: GradientDescent, loss: Loss, last: int, checkpoint: bool, columns: int
+) -> ca.Function:
+    return compiled(unrolled_function(problem, solver, loss, last, checkpoint, columns))

@@ -1,0 +1,1 @@
+"""The outer loop: learning psi from demonstrations, its optimisers, baselines and evaluation."""

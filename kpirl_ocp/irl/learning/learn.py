@@ -1,0 +1,125 @@
+"""Gradient-based IRL (the paper's Algorithm 1), for one or several demonstrations.
+
+    psi <- optimiser step on the mean over demonstrations of L_IRL(tau(psi), tau_demo)
+
+The mean, not the sum, so that a learning rate means the same for one demonstration and for ten.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from tqdm import tqdm
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
+from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
+from kpirl_ocp.irl.learning.optimisers import Adam, Optimiser, Point
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.types import Array, Demonstration
+
+
+@dataclass(frozen=True)
+class LearningState:
+    """Where learning stands: the evaluated psi, the optimiser's memory, and the best point so far."""
+
+    point: Point
+    memory: Any
+    best: Point
+
+
+@dataclass(frozen=True)
+class Learner:
+    """One outer iteration at a time: `init(psi0) -> state`, `step(state) -> state`; no hidden state."""
+
+    problem: OCP
+    demonstrations: Sequence[Demonstration]
+    hypergradient: Hypergradient
+    optimiser: Optimiser
+
+    def __post_init__(self) -> None:
+        if not self.demonstrations:
+            raise ProblemError("learning needs at least one demonstration.")
+
+    def evaluate(self, psi: Array) -> Point:
+        """Mean loss and gradient over the demonstrations."""
+        if isinstance(self.hypergradient, Unrolled):
+            results = self.hypergradient.together(self.problem, self.demonstrations, psi)
+        else:
+            results = [self.hypergradient(self.problem, demonstration, psi) for demonstration in self.demonstrations]
+        return Point(
+            psi=psi,
+            loss=float(np.mean([result.loss for result in results])),
+            gradient=np.mean([result.gradient for result in results], axis=0),
+            uncertified=sum(not result.certificate.certified for result in results),
+        )
+
+    def init(self, psi0: ArrayLike) -> LearningState:
+        """Evaluate psi0 (n_psi,)."""
+        point = self.evaluate(np.array(psi0, float))
+        return LearningState(point, self.optimiser.start(point), point)
+
+    def step(self, state: LearningState) -> LearningState:
+        """Move psi once."""
+        point, memory = self.optimiser.step(self.evaluate, state.point, state.memory)
+        return LearningState(point, memory, min(state.best, point, key=lambda p: p.loss))
+
+
+@dataclass(frozen=True)
+class LearningResult:
+    """What was learned, and how.
+
+    psi: (n_psi,) with the lowest training loss. loss: that loss.
+    losses: (n+1,) training loss after 0 .. n steps. psis: (n+1, n_psi).
+    seconds: (n+1,) wall time since the start. uncertified: (n+1,) gradients used that were only flagged.
+    """
+
+    psi: Array
+    loss: float
+    losses: Array
+    psis: Array
+    seconds: Array
+    uncertified: Array
+
+
+def learn(
+    problem: OCP,
+    demonstrations: Sequence[Demonstration],
+    psi0: ArrayLike,
+    hypergradient: Hypergradient,
+    optimiser: Optimiser | None = None,
+    steps: int = 100,
+    progress: bool = True,
+) -> LearningResult:
+    """Learn psi from demonstrations, starting at psi0 (n_psi,), by default with Adam at the paper's learning rate.
+
+    Ends after `steps`, or sooner when the optimiser stays where it is.
+
+    Raises:
+        CertificateError: a gradient was not certified and the hypergradient's policy is "raise".
+    """
+    learner = Learner(problem, tuple(demonstrations), hypergradient, optimiser or Adam())
+    started = time.perf_counter()
+    state = learner.init(psi0)
+    history = [(state.point, time.perf_counter() - started)]
+    with tqdm(range(steps), desc="learning", disable=not progress, unit="step") as bar:
+        for _ in bar:
+            previous, state = state, learner.step(state)
+            if state.point is previous.point:  # the optimiser has nothing left to gain
+                break
+            history.append((state.point, time.perf_counter() - started))
+            bar.set_postfix(loss=f"{state.point.loss:.4g}", best=f"{state.best.loss:.4g}", refresh=False)
+    points = [point for point, _ in history]
+    return LearningResult(
+        psi=state.best.psi,
+        loss=state.best.loss,
+        losses=np.array([point.loss for point in points]),
+        psis=np.array([point.psi for point in points]),
+        seconds=np.array([seconds for _, seconds in history]),
+        uncertified=np.array([point.uncertified for point in points]),
+    )

@@ -1,0 +1,1 @@
+"""Costs from visual demonstrations, and control behind a camera."""

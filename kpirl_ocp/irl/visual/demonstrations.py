@@ -1,0 +1,57 @@
+"""Demonstrations from what a keypoint detector saw: z_t are x and y of K keypoints, z_goal is the last of them.
+
+A robot's own demonstration (paper, section 5.1) comes with its joints. A person's (section 5.2) does not: only how the
+keypoints move relative to the first frame is kept, and the robot starts from its own keypoints,
+
+    z_demo,t = z_robot,0 + (z_person,t - z_person,0).
+
+The third number of a keypoint, mu, is a confidence and no part of z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.episodes import ArmTrack, KeypointTrack
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.types import Array, Demonstration, Mask
+
+# A keypoint moves if it goes at least this share of the way of the one that goes farthest.
+_MOVES = 0.5
+
+
+def positions(keypoints: ArrayLike) -> Array:
+    """z (..., 2 K) of keypoints (..., K, 3): x and y of the first, of the second, ..."""
+    array = np.asarray(keypoints, float)
+    return array[..., :2].reshape(*array.shape[:-2], -1)
+
+
+def own_demonstration(dynamics: NetworkDynamics, track: ArmTrack) -> Demonstration:
+    """A demonstration by the robot itself."""
+    seen = positions(track.keypoints)
+    return Demonstration(dynamics.state(seen[0], track.joints[0], track.velocities[0]), seen[-1], seen)
+
+
+def transferred_demonstration(
+    dynamics: NetworkDynamics, track: KeypointTrack, keypoints: ArrayLike, joints: ArrayLike
+) -> Demonstration:
+    """A person's demonstration for a robot at rest that sees its own keypoints (K, 3) and has joints (n_joints,) [rad].
+
+    Raises ProblemError if the two have different numbers of keypoints.
+    """
+    start, seen = positions(keypoints), positions(track.keypoints)
+    if start.shape != seen[0].shape:
+        raise ProblemError(f"the robot sees {len(start) // 2} keypoints, the demonstration has {len(seen[0]) // 2}.")
+    wanted = start + seen - seen[0]
+    return Demonstration(dynamics.state(start, joints), wanted[-1], wanted)
+
+
+def moving_keypoints(demonstrations: Sequence[Demonstration]) -> Mask:
+    """Which keypoints (K,) move in the demonstrations, by their mean way from the first to the last frame."""
+    ways = [demo.observations[-1] - demo.observations[0] for demo in demonstrations]
+    lengths = np.linalg.norm(np.reshape(ways, (len(ways), -1, 2)), axis=-1).mean(axis=0)
+    return np.asarray(lengths >= _MOVES * lengths.max())

@@ -1,0 +1,155 @@
+"""Learning costs from visual demonstrations: the paper's way, with the converged inner problem, and its baseline.
+
+The paper's inner loop takes N gradient steps of size alpha and is differentiated by unrolling; its weights are free.
+The converged inner problem needs an effort weight and positive weights. It goes about as far as N gradient steps with
+an effort of rho = 1 / (2 alpha N) times the weights; the cost is divided by rho, so that effort is 1 and weights are
+small numbers. Softplus changes small weights by factors and large ones by amounts. The gradient is implicit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
+from kpirl_ocp.irl.hypergradients.implicit import Implicit
+from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
+from kpirl_ocp.irl.learning.apprenticeship import apprenticeship
+from kpirl_ocp.irl.learning.learn import learn
+from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Optimiser
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost
+from kpirl_ocp.ocp.models.keypoint_costs import RBF, Basis, KeypointCost, TimeDependent, Weighted
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
+from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
+from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.types import Array, Demonstration
+
+COSTS: Mapping[str, Basis] = {"Weighted": Weighted(), "TimeDep": TimeDependent(), "RBF": RBF()}
+Effort = Literal["fixed", "learned", "learned per step"]
+CONVERGED = Riccati(tolerance=1e-9)  # solves the converged inner problem, in learning and in planning
+_LEAST_WEIGHT = 0.5  # starting weights are drawn between this and _LARGEST_WEIGHT, as in the simulation study
+_LARGEST_WEIGHT = 1.5
+
+
+@dataclass(frozen=True)
+class InnerLoop:
+    """N gradient steps of size alpha."""
+
+    steps: int
+    step_size: float
+
+    @property
+    def solver(self) -> GradientDescent:
+        """The steps themselves."""
+        return GradientDescent(self.steps, self.step_size)
+
+    @property
+    def effort(self) -> float:
+        """The effort weight with which a converged problem goes about as far."""
+        return 1 / (2 * self.steps * self.step_size)
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedPlan:
+    """A learned cost and how it was learned.
+
+    losses: (n+1,) mean training IRL loss after 0 .. n outer iterations. best: the one whose cost was kept.
+    seconds: wall time.
+    """
+
+    cost: PlanningCost
+    losses: Array
+    best: int
+    seconds: float
+
+
+def starting_weights(basis: Basis, horizon: int, n_observations: int, rng: np.random.Generator) -> Array:
+    """Random weights (J, n_z), the same at all times: which coordinates matter is not known at the start."""
+    scale = rng.uniform(_LEAST_WEIGHT, _LARGEST_WEIGHT, n_observations)
+    return np.tile(scale, (basis.matrix(horizon).shape[1], 1))
+
+
+def learn_unrolled(
+    dynamics: NetworkDynamics,
+    demonstrations: Sequence[Demonstration],
+    basis: Basis,
+    inner: InnerLoop,
+    iterations: int,
+    rng: np.random.Generator,
+    learning_rate: float = 1e-2,
+    effort: Effort | None = None,
+) -> LearnedPlan:
+    """The paper's Algorithm 1, with Adam. effort: None, as in the paper, or learned from a small value on."""
+    horizon = horizon_of(demonstrations)
+    learned = effort is not None
+    start: float | tuple[float, ...] = 0.1 * inner.effort if learned else 0.0
+    if effort == "learned per step":
+        start = (float(np.mean(start)),) * horizon
+    cost = KeypointCost(basis, effort=start, learn_effort=learned)
+    weights = starting_weights(basis, horizon, dynamics.n_z, rng)
+    method = Unrolled(inner.solver)
+    return _learn(dynamics, demonstrations, cost, weights, method, Adam(learning_rate), iterations, inner.solver)
+
+
+def learn_implicit(
+    dynamics: NetworkDynamics,
+    demonstrations: Sequence[Demonstration],
+    basis: Basis,
+    inner: InnerLoop,
+    iterations: int,
+    rng: np.random.Generator,
+    effort: Effort = "fixed",
+) -> LearnedPlan:
+    """The converged inner problem, its implicit gradient and L-BFGS, which may end before `iterations`."""
+    horizon = horizon_of(demonstrations)
+    rho: float | tuple[float, ...] = (1.0,) * horizon if effort == "learned per step" else 1.0
+    cost = KeypointCost(basis, effort=rho, learn_effort=effort != "fixed", positivity="softplus")
+    weights = starting_weights(basis, horizon, dynamics.n_z, rng) / inner.effort
+    return _learn(dynamics, demonstrations, cost, weights, Implicit(CONVERGED), LBFGS(), iterations, CONVERGED)
+
+
+def learn_by_apprenticeship(
+    dynamics: NetworkDynamics,
+    demonstrations: Sequence[Demonstration],
+    inner: InnerLoop,
+    iterations: int,
+    rng: np.random.Generator,
+) -> LearnedPlan:
+    """The baseline: apprenticeship learning of a Weighted cost, with the paper's inner loop."""
+    horizon, cost = horizon_of(demonstrations), KeypointCost(Weighted())
+    problem = network_ocp(dynamics, cost, horizon)
+    result = apprenticeship(problem, demonstrations, inner.solver, iterations, rng)
+    planned = PlanningCost.of(cost, result.psi, horizon, dynamics.n_z, inner.solver)
+    return LearnedPlan(planned, result.losses, int(np.argmin(result.losses)), result.seconds)
+
+
+def horizon_of(demonstrations: Sequence[Demonstration]) -> int:
+    """T, the same for all. Raises ProblemError if it is not."""
+    horizons = {len(demonstration.observations) - 1 for demonstration in demonstrations}
+    if len(horizons) != 1:
+        raise ProblemError(f"demonstrations must have one length, got T = {sorted(horizons) or 'none at all'}.")
+    return horizons.pop()
+
+
+def _learn(
+    dynamics: NetworkDynamics,
+    demonstrations: Sequence[Demonstration],
+    cost: KeypointCost,
+    weights: Array,
+    method: Hypergradient,
+    optimiser: Optimiser,
+    iterations: int,
+    solver: Solver,
+) -> LearnedPlan:
+    horizon, n_z = horizon_of(demonstrations), dynamics.n_z
+    problem = network_ocp(dynamics, cost, horizon)
+    psi0 = cost.initial(horizon, n_z, weights)
+    result = learn(problem, demonstrations, psi0, method, optimiser, iterations, progress=False)
+    planned = PlanningCost.of(cost, result.psi, horizon, n_z, solver)
+    return LearnedPlan(planned, result.losses, int(np.argmin(result.losses)), float(result.seconds[-1]))

@@ -1,0 +1,87 @@
+"""Costs over detected keypoints that are ready to plan with, however they were found.
+
+Every member of the family is its weights W (T, n_z) and efforts rho (T,), so one planning problem serves all of them,
+with psi = (W row by row, rho). It also serves what is left of a plan: after t steps the weights move up by t rows, and
+the steps beyond the horizon get no weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.models.keypoint_costs import Default, KeypointCost, TimeDependent
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
+from kpirl_ocp.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningCost:
+    """A cost and the solver it is for; a number of gradient steps is part of what was learned.
+
+    weights: W (T, n_z), row t-1 for z_t. efforts: rho (T,), of u_0 .. u_{T-1}.
+    """
+
+    weights: Array
+    efforts: Array
+    solver: Solver
+
+    @classmethod
+    def of(cls, cost: KeypointCost, psi: ArrayLike, horizon: int, n_observations: int, solver: Solver) -> PlanningCost:
+        """The member psi (n_psi,) of a family of costs."""
+        return cls(*cost.weights(psi, horizon, n_observations), solver)
+
+    @classmethod
+    def default(cls, horizon: int, n_observations: int, solver: GradientDescent) -> PlanningCost:
+        """The paper's Default cost: W = 1, no effort."""
+        return cls.of(KeypointCost(Default()), (), horizon, n_observations, solver)
+
+    @property
+    def horizon(self) -> int:
+        """T."""
+        return len(self.weights)
+
+    @property
+    def psi(self) -> Array:
+        """The parameters of `planning_problem`."""
+        return np.concatenate([self.weights.ravel(), self.efforts])
+
+    def after(self, steps: int) -> PlanningCost:
+        """What is left of the cost after `steps` of the plan; effort alone keeps the steps beyond the end at zero."""
+        if not 0 <= steps <= self.horizon:
+            raise ProblemError(f"steps must be within the plan of {self.horizon}, got {steps}.")
+        past_the_end = np.full(steps, self.efforts.max())
+        return replace(
+            self,
+            weights=np.vstack([self.weights[steps:], np.zeros_like(self.weights[:steps])]),
+            efforts=np.concatenate([self.efforts[steps:], past_the_end]),
+        )
+
+
+@lru_cache(maxsize=8)
+def planning_problem(dynamics: NetworkDynamics, horizon: int) -> OCP:
+    """Plan with any `PlanningCost`; context is z_goal (n_z,)."""
+    family = KeypointCost(TimeDependent(), effort=(0.0,) * horizon, learn_effort=True)
+    return network_ocp(dynamics, family, horizon)
+
+
+def without_joints(dynamics: NetworkDynamics, joints: Sequence[int]) -> NetworkDynamics:
+    """The model with no influence of these joints on the keypoints, so that no plan moves them.
+
+    For joints that hardly moved in the training data: the network has learned their tiny motions, scaled up to unit
+    variance, and a planner would follow it far out of what was seen.
+    """
+    offsets = [dynamics.n_z + block * dynamics.n_joints for block in range(3)]  # theta, theta_dot, u
+    columns = [offset + joint for offset in offsets for joint in joints]
+    first = dynamics.mlp.weights[0].copy()
+    first[:, columns] = 0.0
+    return replace(dynamics, mlp=replace(dynamics.mlp, weights=(first, *dynamics.mlp.weights[1:])))

@@ -1,0 +1,1 @@
+"""From CasADi to C, from C to machine code, and from machine code to numpy."""

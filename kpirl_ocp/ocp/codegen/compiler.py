@@ -1,0 +1,148 @@
+"""Native code: a CasADi function compiled by the system's C compiler, cached by content.
+
+The cache is shared between processes and bounded: beyond `_CACHE_BYTES` the libraries that were not used for longest
+are removed. Without a compiler the function itself is returned (CasADi's virtual machine), with one warning for the
+process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+import warnings
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import casadi as ca
+
+from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels
+
+# No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order. The -fno flags only promise
+# that nobody reads errno or traps floating-point exceptions; with them loops become vector instructions. CasADi writes
+# 0 + i*0 for the address of an empty array, which newer compilers refuse without -Wno-int-conversion. Loops are turned
+# into vector instructions as with -O3, which takes longer to compile and gains nothing more.
+_OPTIMISED = ("-O2", "-ftree-vectorize", "-fvect-cost-model=dynamic", "-march=native")
+FLAGS = (
+    *_OPTIMISED,
+    "-fno-semantic-interposition",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-Wno-int-conversion",
+    "-fPIC",
+    "-shared",
+)
+_CACHE_BYTES = 512 * 2**20
+
+
+def compiled(function: ca.Function) -> ca.Function:
+    """The same function as machine code; the function itself when there is no C compiler."""
+    return together([function])[0]
+
+
+def together(functions: Sequence[ca.Function]) -> list[ca.Function]:
+    """The same for several functions, whose common parts are compiled once."""
+    command = compiler()
+    if command is None:
+        return list(functions)
+    name = functions[0].name()
+    generator = ca.CodeGenerator(f"{name}.c")
+    for function in functions:
+        generator.add(function)
+    source = with_fast_kernels(generator.dump())
+    for _ in range(2):  # another process may remove the library before it is loaded
+        try:
+            library = _library(command, name, source)
+        except (OSError, subprocess.CalledProcessError) as error:
+            warn_slow(f"{command} could not compile {name}: {error}")
+            return list(functions)
+        try:
+            return [ca.external(function.name(), str(library)) for function in functions]
+        except RuntimeError:
+            if library.exists():
+                raise
+    warn_slow(f"other processes keep removing {library}")
+    return list(functions)
+
+
+def _library(compiler: str, name: str, source: str) -> Path:
+    """The shared library of a C source: from the cache, marked as used, or built."""
+    key = "\0".join([source, compiler, identity(compiler), *FLAGS])
+    return cached(name, key, lambda library: _build(compiler, source, library))
+
+
+def cached(name: str, key: str, build: Callable[[Path], None]) -> Path:
+    """The library with this key: from the cache, marked as used, or built by `build(path)`."""
+    library = cache_directory() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
+    try:
+        os.utime(library)
+    except FileNotFoundError:
+        build(library)
+        _evict(library)
+    except PermissionError:
+        pass  # a shared cache that may only be read
+    return library
+
+
+def _evict(newest: Path) -> None:
+    """Remove the libraries that were not used for longest, until the cache fits; never the newest."""
+    found = []
+    for path in newest.parent.glob("*.so"):
+        with contextlib.suppress(FileNotFoundError):  # removed by another process meanwhile
+            found.append((path.stat().st_mtime_ns, path.stat().st_size, path))
+    excess = sum(size for _, size, _ in found) - _CACHE_BYTES
+    for _, size, path in sorted(found):
+        if excess > 0 and path != newest:
+            path.unlink(missing_ok=True)
+            excess -= size
+
+
+def cache_directory() -> Path:
+    """Where compiled code is kept: $XDG_CACHE_HOME/kpirl_ocp, by default ~/.cache/kpirl_ocp."""
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "kpirl_ocp"
+
+
+@lru_cache(maxsize=1)
+def compiler() -> str | None:
+    """The system's C compiler; None, with a warning, if there is none."""
+    path = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    if path is None:
+        warn_slow("no C compiler (cc, gcc, clang) was found")
+    return path
+
+
+def warn_slow(reason: str) -> None:
+    """Say why there is no machine code, and what that means."""
+    consequence = "this runs on CasADi's virtual machine, with the same results, several times slower."
+    warnings.warn(f"{reason}: {consequence}", RuntimeWarning, stacklevel=3)
+
+
+@lru_cache(maxsize=4)
+def identity(compiler: str) -> str:
+    """Version and the processor that -march=native resolves to: a cache on a shared disk must not mix them."""
+    command = [compiler, "-march=native", "-E", "-dM", "-x", "c", os.devnull]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def _build(compiler: str, source: str, library: Path) -> None:
+    """Compile one source."""
+    with tempfile.TemporaryDirectory() as scratch:
+        code = Path(scratch) / "code.c"
+        code.write_text(source)
+        link(compiler, FLAGS, [code], library)
+
+
+def link(compiler: str, flags: Sequence[str], sources: Sequence[Path], library: Path) -> None:
+    """Compile beside the target and rename: another process sees the whole library or none."""
+    library.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
+        built = Path(scratch) / "built.so"
+        subprocess.run(
+            [compiler, *flags, *map(str, sources), "-o", str(built), "-lm"], check=True, capture_output=True, text=True
+        )
+        built.replace(library)

@@ -1,0 +1,53 @@
+"""Generated C with fewer copies: what CasADi's code generator moves through memory although it need not.
+
+    product   w = start; w += x y     becomes  w = start + x y    one pass over w; zeros are not even written
+    output    w = ...; res[k] = w     becomes  res[k] = ...       w is another name for the place that the caller wants
+
+The results are the same to the last bit. Each is a matter of one function. The second needs results that overlap
+neither each other nor the arguments: CasADi finds places for the results of a call before it frees its arguments. Who
+calls the functions that a file is made for is not known, so these are left alone.
+"""
+
+from __future__ import annotations
+
+import re
+
+_FUNCTION = re.compile(r"^static int (casadi_f\d+)\(const casadi_real\*\* arg.*?^}\n", re.MULTILINE | re.DOTALL)
+_ENTRY = re.compile(r"return (casadi_f\d+)\(arg, res, iw, w, mem\);")
+_START = re.compile(r"^ *casadi_(?:clear\((w\d+), \d+|copy\((\w+), \d+, (w\d+))\);\n", re.MULTILINE)
+_OUTPUT = re.compile(r"^ *(?:if \(res\[\d+\]\) )?casadi_copy\((w\d+), \d+, res\[(\d+)\](\+\d+)?\);\n", re.MULTILINE)
+
+
+def with_fewer_copies(source: str) -> str:
+    """The same functions; products call `casadi_mtimes_from` of `kpirl_ocp.ocp.codegen.kernels`."""
+    entries = set(_ENTRY.findall(source))
+
+    def shorter(function: re.Match[str]) -> str:
+        text = _products(function[0])
+        return text if function[1] in entries else _outputs(text)
+
+    return _FUNCTION.sub(shorter, source)
+
+
+def _products(text: str) -> str:
+    """Products into an array that was copied right before, or cleared and not touched since."""
+    for found in reversed(list(_START.finditer(text))):
+        name, start = found[1] or found[3], found[2] or "0"
+        before, after = text[: found.start()], text[found.end() :]
+        use = re.search(rf"^.*\b{name}\b.*\n", after, re.MULTILINE)
+        product = use and re.fullmatch(rf" *casadi_mtimes_dense\(((?:(?!\b{name}\b).)*), {name}, 0\);\n", use[0])
+        if use and product and (found[1] or use.start() == 0):
+            fused = f"  casadi_mtimes_from({product[1]}, {start}, {name});\n"
+            text = before + after[: use.start()] + fused + after[use.end() :]
+    return text
+
+
+def _outputs(text: str) -> str:
+    """Arrays in the work vector that end as an output: not mentioned again after they were copied there."""
+    for found in list(_OUTPUT.finditer(text)):
+        name, place = found[1], rf"res[{found[2]}] ? res[{found[2]}]{found[3] or ''}"
+        before, after = text.split(found[0], maxsplit=1)
+        before, renamed = re.subn(rf"\*{name}=(w\+\d+)", rf"*{name}={place} : \1", before)
+        if renamed == 1 and not re.search(rf"\b{name}\b", after):
+            text = before + after
+    return text

@@ -1,0 +1,1 @@
+"""The KKT conditions and their derivatives, each once."""

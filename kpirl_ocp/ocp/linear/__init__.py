@@ -1,0 +1,1 @@
+"""Linear-quadratic algebra over stages; it knows dimensions only."""

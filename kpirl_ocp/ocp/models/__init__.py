@@ -1,0 +1,1 @@
+"""What problems are made of: robots, networks, and costs over keypoints."""

@@ -1,0 +1,208 @@
+"""The passes of `kpirl_ocp.ocp.problem.trajectory_passes` for keypoint dynamics with a network.
+
+The joints do not depend on the keypoints: theta_t is a running sum of the actions and theta_dot is constant. So their
+share of the first layer is known for all times before z is, and
+
+    a_1 = W_z z_t + e_t,    e_t = W_theta theta_t + W_u u_t + (W_v theta_dot + b_1)
+
+leaves only W_z in the recursion over time; for few trajectories the rest is one matrix product for all times, and the
+same holds for the tangent and, transposed, for the adjoints. For many it stays within the stage, whose products are
+wide enough, and no array (n_1, T B) is moved. The slopes of the activations are remembered by the rollout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
+
+import casadi as ca
+import numpy as np
+
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.models.mlp import MLP, arrays, curved, from_arrays, pull, pull_tangent, push
+from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout, along
+from kpirl_ocp.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkSweeps:
+    """The passes over T steps for B trajectories; see `kpirl_ocp.ocp.problem.trajectory_passes.Sweeps`."""
+
+    dynamics: NetworkDynamics
+    horizon: int
+    columns: int
+
+    def rollout(self, s0: ca.MX, actions: ca.MX, psi: ca.MX) -> Rollout:
+        """See `Sweeps`."""
+        z0, theta0, velocity = self._parts(s0)
+        theta = self._sum(theta0, actions)
+        constant = ca.mac(ca.DM(self._by_velocity), velocity, ca.repmat(ca.DM(self._mlp.biases[0]), 1, self.columns))
+        z, *memory = along(self._forward, z0, self._ahead(theta, actions, constant), self.horizon)
+        states = _stack(ca.horzcat(z0, z), theta, ca.repmat(velocity, 1, self.horizon + 1))
+        return Rollout(states, actions, tuple(memory))
+
+    def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
+        """See `Sweeps`."""
+        zero = ca.MX.zeros(self.dynamics.n_z, self.columns)
+        dtheta = self._sum(ca.MX.zeros(self.dynamics.n_joints, self.columns), dU)
+        moved = along(self._tangent, zero, [*at.memory, *self._ahead(dtheta, dU)], self.horizon)
+        return _stack(ca.horzcat(zero, *moved), dtheta, ca.MX.zeros(dtheta.shape))
+
+    def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
+        """See `Sweeps`."""
+        return self._backwards(self._adjoint, psi, Q, *at.memory)
+
+    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
+        """See `Sweeps`."""
+        if not self._curved:
+            return self._backwards(self._adjoint, psi, Q, *at.memory)
+        dz, dtheta, _ = self._parts(dS)
+        inputs = *at.memory, *memory, dz[:, : dU.size2()], *self._ahead(dtheta, dU)
+        return self._backwards(self._adjoint_tangent, psi, Q, *inputs)
+
+    def _backwards(self, stage: ca.Function, psi: ca.MX, Q: ca.MX, *inputs: ca.MX) -> Adjoint:
+        """Accumulate a stage (lambda_z, q_z, ...) -> lambda_z, the adjoint of a_1; then sum up for the joints."""
+        B, n_q = self.columns, self.dynamics.n_joints
+        by_z, by_theta, by_velocity = self._parts(Q)
+        swept, *shares = along(stage, by_z[:, -B:], [by_z[:, :-B], *inputs], self.horizon, backwards=True)
+        costates = ca.horzcat(swept[:, B:], by_z[:, -B:])
+        share, inner = shares if self._wide else self._shares(*shares)
+        theta = self._sum_back(by_theta, share[:n_q, :])
+        velocity = self._sum_back(by_velocity, ca.DM(self._by_velocity.T) @ inner)
+        return Adjoint(
+            costates=_stack(costates, theta, velocity),
+            by_actions=theta + share[n_q:, :],
+            by_parameters=ca.MX.zeros(psi.shape),
+            memory=(costates,) if self._curved else (),
+        )
+
+    def _ahead(self, theta: ca.MX, actions: ca.MX, constant: ca.MX | None = None) -> list[ca.MX]:
+        """What stages t < T know e_t by: the joints (theta_t, u_t) and the constant, or e_t itself."""
+        joints = _stack(theta[:, : actions.size2()], actions)
+        if self._wide:
+            return [joints] if constant is None else [joints, constant]
+        return [self._drive(joints, None if constant is None else ca.repmat(constant, 1, self.horizon))]
+
+    def _given(self, constant: bool = False) -> tuple[list[ca.MX], ca.MX]:
+        """Symbols for that, and e_t."""
+        n_1, n_joints = self._by_joints.shape
+        if not self._wide:
+            drive = self._symbol("e", n_1)
+            return [drive], drive
+        symbols = [self._symbol("joints", n_joints), *([self._symbol("constant", n_1)] if constant else [])]
+        return symbols, self._drive(*symbols)
+
+    def _drive(self, joints: ca.MX, constant: ca.MX | None = None) -> ca.MX:
+        """W_theta theta_t + W_u u_t + constant."""
+        by_joints = ca.DM(self._by_joints)
+        return by_joints @ joints if constant is None else ca.mac(by_joints, joints, constant)
+
+    def _shares(self, inner: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """(W_theta, W_u)^T times the adjoint of a_1, and that adjoint."""
+        return ca.DM(self._by_joints.T) @ inner, inner
+
+    @property
+    def _wide(self) -> bool:
+        """True if the joints' share is left to the stage."""
+        return self.columns >= _WIDE
+
+    def _sum(self, start: ca.MX, actions: ca.MX) -> ca.MX:
+        """theta_0 .. theta_T (n_q, (T+1) B), the running sum of the actions."""
+        return ca.horzcat(start, *along(_add(*start.shape), start, [actions], self.horizon))
+
+    def _sum_back(self, q: ca.MX, share: ca.MX) -> ca.MX:
+        """lambda_1 .. lambda_T of a row of the state that is an integrator: lambda_t = q_t + share_t + lambda_{t+1}."""
+        B = self.columns
+        if self.horizon == 1:
+            return q[:, -B:]
+        last, pushes = q[:, -B:], q[:, B:-B] + share[:, B:]
+        return ca.horzcat(*along(_add(*last.shape), last, [pushes], self.horizon - 1, backwards=True), last)
+
+    def _parts(self, s: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+        """The rows z, theta and theta_dot."""
+        n_z, n_q = self.dynamics.n_z, self.dynamics.n_joints
+        return s[:n_z, :], s[n_z : n_z + n_q, :], s[n_z + n_q :, :]
+
+    @cached_property
+    def _mlp(self) -> MLP:
+        """The network as a function of z alone."""
+        mlp = self.dynamics.mlp
+        return replace(mlp, weights=(mlp.weights[0][:, : self.dynamics.n_z], *mlp.weights[1:]))
+
+    @cached_property
+    def _by_joints(self) -> Array:
+        """(W_theta, W_u)."""
+        first, n_z, n_q = self.dynamics.mlp.weights[0], self.dynamics.n_z, self.dynamics.n_joints
+        return np.hstack([first[:, n_z : n_z + n_q], first[:, n_z + 2 * n_q :]])
+
+    @cached_property
+    def _by_velocity(self) -> Array:
+        """W_v."""
+        n_z, n_q = self.dynamics.n_z, self.dynamics.n_joints
+        return self.dynamics.mlp.weights[0][:, n_z + n_q : n_z + 2 * n_q]
+
+    @cached_property
+    def _curved(self) -> bool:
+        return curved(self._mlp.linearise(ca.MX.sym("z", self.dynamics.n_z))[1])
+
+    @cached_property
+    def _forward(self) -> ca.Function:
+        """z, what e_t takes -> z_next, slopes."""
+        z, (given, drive) = self._symbol("z"), self._given(constant=True)
+        y, slopes = self._mlp.linearise(z, drive)
+        return ca.Function("forward", [z, *given], [self._keep(z) + y, *arrays(slopes)])
+
+    @cached_property
+    def _tangent(self) -> ca.Function:
+        """dz, slopes, what de_t takes -> dz_next."""
+        dz, slopes, (given, drive) = self._symbol("dz"), self._slopes, self._given()
+        moved, _ = push(self._mlp, from_arrays(self._mlp, slopes), dz, drive)
+        return ca.Function("tangent", [dz, *slopes, *given], [self._keep(dz) + moved])
+
+    @cached_property
+    def _adjoint(self) -> ca.Function:
+        """lambda_z, q_z, slopes -> lambda_z before, adjoint of a_1."""
+        lam, q, slopes = self._symbol("lam"), self._symbol("q"), self._slopes
+        pulled, inner = pull(self._mlp, from_arrays(self._mlp, slopes), lam)
+        return self._backward("adjoint", [lam, q, *slopes], q + self._keep(lam) + pulled, inner)
+
+    @cached_property
+    def _adjoint_tangent(self) -> ca.Function:
+        """mu_z, q_z, slopes, lambda_z, dz, what de_t takes -> mu_z before, tangent of the adjoint of a_1."""
+        mu, q, lam, dz = (self._symbol(name) for name in ("mu", "q", "lam", "dz"))
+        slopes, (given, drive) = self._slopes, self._given()
+        pulled, inner = pull_tangent(self._mlp, from_arrays(self._mlp, slopes), lam, dz, mu, drive)
+        inputs = [mu, q, *slopes, lam, dz, *given]
+        return self._backward("adjoint_tangent", inputs, q + self._keep(mu) + pulled, inner)
+
+    def _backward(self, name: str, inputs: list[ca.MX], before: ca.MX, inner: ca.MX) -> ca.Function:
+        return ca.Function(name, inputs, [before, *(self._shares(inner) if self._wide else [inner])])
+
+    def _symbol(self, name: str, rows: int | None = None) -> ca.MX:
+        return ca.MX.sym(name, self.dynamics.n_z if rows is None else rows, self.columns)
+
+    @cached_property
+    def _slopes(self) -> list[ca.MX]:
+        """Symbols for what the rollout remembers."""
+        return [ca.MX.sym("slope", *part.shape) for part in arrays(self._mlp.linearise(self._symbol("z"))[1])]
+
+    def _keep(self, z: ca.MX) -> ca.MX | float:
+        return z if self.dynamics.residual else 0.0
+
+
+_WIDE = 4  # so many trajectories fill the tiles of a matrix product by themselves
+
+
+def _add(rows: int, columns: int) -> ca.Function:
+    x, y = (ca.MX.sym(name, rows, columns) for name in "xy")
+    return ca.Function("add", [x, y], [x + y])
+
+
+def _stack(*parts: ca.MX) -> ca.MX:
+    """`vertcat`, which transposes matrices three times, in one pass over each part."""
+    ends = list(accumulate(part.size1() for part in parts))
+    stacked = ca.MX(ca.DM.zeros(ends[-1], parts[0].size2()))
+    for part, end in zip(parts, ends, strict=True):
+        stacked[end - part.size1() : end, :] = part
+    return stacked

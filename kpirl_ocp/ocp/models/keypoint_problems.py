@@ -1,0 +1,116 @@
+"""Keypoint problems: the general OCP with states s = (z, theta, theta_dot) and joint displacements as actions.
+
+    theta_{t+1} = theta_t + u_t,    theta_dot_{t+1} = theta_dot_t
+
+`network_ocp` has the learned keypoints of appendix A.1, z_{t+1} = z_t + network(s_t, u_t); `keypoint_ocp` has the
+ground truth of the simulation study, z_{t+1} = keypoints(theta_{t+1}).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.models.keypoint_passes import NetworkSweeps
+from kpirl_ocp.ocp.models.keypoint_points import NetworkPoints
+from kpirl_ocp.ocp.models.robot import Robot
+from kpirl_ocp.ocp.problem.ocp import OCP, UNBOUNDED, Bounds, broadcast_bounds
+from kpirl_ocp.types import Array
+
+
+def keypoint_ocp(
+    robot: Robot,
+    cost: KeypointCost,
+    horizon: int,
+    *,
+    unit: float = 1.0,
+    joint_limits: bool = True,
+    max_displacement: float = np.inf,
+) -> OCP:
+    """Plan keypoints of `robot` to the goal z_goal, the context (3 K,), with ground-truth kinematics.
+
+    unit: length of one keypoint unit [m]; 0.01 gives keypoints in centimetres.
+    joint_limits: bound theta by the limits of the URDF.
+    max_displacement: largest |u| per step and joint [rad].
+    """
+    if not unit > 0 or not max_displacement > 0:
+        raise ProblemError(f"unit and max_displacement must be positive, got {unit!r} and {max_displacement!r}.")
+    n_z, n_q = 3 * robot.n_keypoints, robot.n_joints
+    schedule = cost.schedule(horizon)
+    state, action = ca.SX.sym("s", n_z + 2 * n_q), ca.SX.sym("u", n_q)
+    psi = ca.SX.sym("psi", cost.n_parameters(horizon, n_z))
+    goal, stage = ca.SX.sym("goal", n_z), ca.SX.sym("d", schedule.shape[1])
+    z, theta, velocity = state[:n_z], state[n_z : n_z + n_q], state[n_z + n_q :]
+    moved = theta + action
+    free = np.full(n_z, np.inf), np.full(n_q, np.inf)
+    limits = robot.joint_limits if joint_limits else (-free[1], free[1])
+    return OCP.from_expressions(
+        state=state,
+        action=action,
+        parameters=psi,
+        context=goal,
+        stage=stage,
+        dynamics=ca.vertcat(robot.keypoint_function(moved) / unit, moved, velocity),
+        stage_cost=cost.stage_cost(z, action, psi, goal, stage),
+        terminal_cost=cost.stage_cost(z, ca.SX.zeros(n_q), psi, goal, stage),
+        observation=z,
+        horizon=horizon,
+        action_bounds=(-max_displacement, max_displacement),
+        state_bounds=(np.hstack([-free[0], limits[0], -free[1]]), np.hstack([free[0], limits[1], free[1]])),
+        schedule=schedule,
+    )
+
+
+def network_ocp(
+    dynamics: NetworkDynamics,
+    cost: KeypointCost,
+    horizon: int,
+    *,
+    joint_limits: Bounds = UNBOUNDED,
+    max_displacement: float = np.inf,
+) -> OCP:
+    """Plan keypoints in the image to the goal z_goal, the context (n_z,), with a learned model.
+
+    joint_limits: (lower, upper) bounds of theta, each a number or (n_joints,) [rad].
+    max_displacement: largest |u| per step and joint [rad].
+    """
+    if not max_displacement > 0:
+        raise ProblemError(f"max_displacement must be positive, got {max_displacement!r}.")
+    n_z, n_q, n_psi = dynamics.n_z, dynamics.n_joints, cost.n_parameters(horizon, dynamics.n_z)
+    schedule = cost.schedule(horizon)
+    state, action = ca.SX.sym("s", dynamics.n_states), ca.SX.sym("u", n_q)
+    psi, goal, stage = ca.SX.sym("psi", n_psi), ca.SX.sym("goal", n_z), ca.SX.sym("d", schedule.shape[1])
+    running = cost.stage_cost(state[:n_z], action, psi, goal, stage)
+    final = cost.stage_cost(state[:n_z], ca.SX.zeros(n_q), psi, goal, stage)
+    lower, upper = broadcast_bounds("joint_limits", joint_limits, n_q)
+    free = np.full(n_z, np.inf), np.full(n_q, np.inf)
+    return OCP(
+        dynamics=dynamics.function(n_psi),
+        stage_cost=ca.Function("stage_cost", [state, action, psi, goal, stage], [running]),
+        terminal_cost=ca.Function("terminal_cost", [state, psi, goal, stage], [final]),
+        observation=ca.Function("observation", [state], [state[:n_z]]),
+        horizon=horizon,
+        action_bounds=(-max_displacement, max_displacement),
+        state_bounds=(np.hstack([-free[0], lower, -free[1]]), np.hstack([free[0], upper, free[1]])),
+        schedule=schedule,
+        derivatives=replace(
+            dynamics.derivatives(n_psi),
+            sweeps=partial(NetworkSweeps, dynamics),
+            points=partial(NetworkPoints, dynamics),
+        ),
+    )
+
+
+def keypoint_state(robot: Robot, theta: ArrayLike, unit: float = 1.0) -> Array:
+    """State (3 K + 2 n_joints,) of the arm at rest at theta (n_joints,) [rad]."""
+    theta = np.asarray(theta, float)
+    if theta.shape != (robot.n_joints,) or not np.isfinite(theta).all():
+        raise ProblemError(f"theta must be {robot.n_joints} finite joint positions, got {theta!r}.")
+    return np.concatenate([robot.locate(theta).ravel() / unit, theta, np.zeros(robot.n_joints)])

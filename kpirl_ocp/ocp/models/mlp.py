@@ -1,0 +1,205 @@
+"""A multilayer perceptron in the CasADi graph, with derivatives arranged by hand.
+
+    h_0 = x,   a_l = W_l h_{l-1} + b_l,   h_l = sigma_l(a_l),   y = h_L
+
+Everything stays MX: expanded to scalars, a network of this kind is hundreds of thousands of instructions. AD would
+transpose constant weights at every call; here W and W^T are both constants and a Jacobian is one chain of matrix
+products. Hessians are in `kpirl_ocp.ocp.models.mlp_hessian`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.models.activations import ACTIVATIONS, Slopes
+from kpirl_ocp.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class MLP:
+    """Weights and activations, as plain data.
+
+    weights: one (n_l, n_{l-1}) per layer. biases: one (n_l,) per layer.
+    activations: one name per layer, of `ACTIVATIONS`; the last is usually "identity".
+
+    Raises ProblemError when shapes do not chain, numbers are not finite, or a name is unknown.
+    """
+
+    weights: tuple[Array, ...]
+    biases: tuple[Array, ...]
+    activations: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("weights", "biases"):
+            arrays = tuple(np.array(array, float) for array in getattr(self, name))
+            for array in arrays:
+                array.flags.writeable = False
+            object.__setattr__(self, name, arrays)
+        object.__setattr__(self, "activations", tuple(self.activations))
+        self._check()
+
+    @classmethod
+    def from_layers(
+        cls,
+        weights: Sequence[ArrayLike],
+        biases: Sequence[ArrayLike],
+        activation: str = "relu",
+        output_activation: str = "identity",
+    ) -> MLP:
+        """One activation for all hidden layers; arrays of any kind that numpy reads (n_out, n_in), as in torch."""
+        names = (activation,) * (len(weights) - 1) + (output_activation,)
+        return cls(tuple(map(np.asarray, weights)), tuple(map(np.asarray, biases)), names)
+
+    @property
+    def n_in(self) -> int:
+        """Length of x."""
+        return self.weights[0].shape[1]
+
+    @property
+    def n_out(self) -> int:
+        """Length of y."""
+        return self.weights[-1].shape[0]
+
+    def normalised(self, mean_in: ArrayLike, scale_in: ArrayLike, mean_out: ArrayLike, scale_out: ArrayLike) -> MLP:
+        """mean_out + scale_out * MLP((x - mean_in) / scale_in), folded into the first and the last layer.
+
+        Raises ProblemError for an output activation, after which nothing can be folded, and for scales not above zero.
+        """
+        if self.activations[-1] != "identity":
+            raise ProblemError(f"a normalised network needs a linear last layer, not {self.activations[-1]!r}.")
+        centre, width = _vector("mean_in", mean_in, self.n_in), _vector("scale_in", scale_in, self.n_in)
+        shift, gain = _vector("mean_out", mean_out, self.n_out), _vector("scale_out", scale_out, self.n_out)
+        if not (width > 0).all() or not (gain > 0).all():
+            raise ProblemError("scale_in and scale_out must be positive.")
+        weights, biases = list(self.weights), list(self.biases)
+        weights[0] = weights[0] / width
+        biases[0] = biases[0] - weights[0] @ centre
+        weights[-1] = gain[:, None] * weights[-1]
+        biases[-1] = gain * biases[-1] + shift
+        return replace(self, weights=tuple(weights), biases=tuple(biases))
+
+    def __call__(self, x: ca.MX) -> ca.MX:
+        """y (n_out, B) of x (n_in, B), one column per point."""
+        return self.linearise(x)[0]
+
+    def linearise(self, x: ca.MX, drive: ca.MX | None = None) -> tuple[ca.MX, list[Slopes]]:
+        """y (n_out, B) of x (n_in, B), and the slopes on the way.
+
+        drive: (n_1, B) takes the place of b_1; inputs whose share of a_1 is known beforehand go in there.
+        """
+        slopes: list[Slopes] = []
+        for weight, bias, name in zip(self.weights, self.biases, self.activations, strict=True):
+            shift = ca.repmat(ca.DM(bias), 1, x.size2()) if drive is None or slopes else drive
+            x, slope = ACTIVATIONS[name](ca.mac(ca.DM(weight), x, shift))
+            slopes.append(slope)
+        return x, slopes
+
+    def _check(self) -> None:
+        if not len(self.weights) == len(self.biases) == len(self.activations) >= 1:
+            raise ProblemError(
+                "a network needs one weight, bias and activation per layer, and a layer; got "
+                f"{len(self.weights)}, {len(self.biases)} and {len(self.activations)}."
+            )
+        width = self.weights[0].shape[-1] if self.weights[0].ndim else 0
+        for index, (weight, bias, name) in enumerate(zip(self.weights, self.biases, self.activations, strict=True)):
+            if weight.ndim != 2 or weight.shape[1] != width or bias.shape != weight.shape[:1] or not weight.size:
+                raise ProblemError(
+                    f"layer {index} must have a weight (n, {width}) and a bias (n,), "
+                    f"got {weight.shape} and {bias.shape}."
+                )
+            if not np.isfinite(weight).all() or not np.isfinite(bias).all():
+                raise ProblemError(f"layer {index} holds NaN or infinity.")
+            if name not in ACTIVATIONS:
+                raise ProblemError(f"layer {index}: activation must be one of {', '.join(ACTIVATIONS)}; got {name!r}.")
+            width = weight.shape[0]
+
+
+def push(mlp: MLP, slopes: Sequence[Slopes], dx: ca.MX, drive: ca.MX | None = None) -> tuple[ca.MX, list[ca.MX]]:
+    """J dx (n_out, B) for dx (n_in, B), and the tangents da_l on the way; `drive` (n_1, B) is added to da_1."""
+    tangents: list[ca.MX] = []
+    for weight, slope in zip(mlp.weights, slopes, strict=True):
+        moved = ca.DM(weight) @ dx if drive is None or tangents else ca.mac(ca.DM(weight), dx, drive)
+        tangents.append(moved)
+        dx = times(slope.first, moved)
+    return dx, tangents
+
+
+def pull(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """J^T adjoint (n_in, B) for adjoint (n_out, B), and the adjoint (n_1, B) of a_1 on the way."""
+    inner = adjoint
+    for weight, slope in zip(reversed(mlp.weights), reversed(slopes), strict=True):
+        inner = times(slope.first, adjoint)
+        adjoint = ca.DM(weight.T) @ inner
+    return adjoint, inner
+
+
+def pull_tangent(
+    mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX, dx: ca.MX, dadjoint: ca.MX, drive: ca.MX | None = None
+) -> tuple[ca.MX, ca.MX]:
+    """How both results of `pull` change when x moves as in `push` and the adjoint by dadjoint.
+
+    The first is J^T dadjoint + (adjoint . f)'' dx. Adjoint and tangent share each product with W^T, as two blocks of
+    columns. Without curvature, only J^T dadjoint is left.
+    """
+    if not curved(slopes):
+        return pull(mlp, slopes, dadjoint)
+    _, tangents = push(mlp, slopes, dx, drive)
+    inner, columns = dadjoint, adjoint.size2()
+    for weight, slope, tangent in zip(reversed(mlp.weights), reversed(slopes), reversed(tangents), strict=True):
+        inner = times(slope.first, dadjoint)
+        if slope.second is not None:
+            inner = inner + slope.second * tangent * adjoint
+        both = ca.DM(weight.T) @ ca.horzcat(times(slope.first, adjoint), inner)
+        adjoint, dadjoint = both[:, :columns], both[:, columns:]
+    return dadjoint, inner
+
+
+def jacobian(mlp: MLP, slopes: Sequence[Slopes]) -> ca.MX:
+    """dy/dx (n_out, n_in) at one x, from the output's side: J^T = W_1^T diag(s_1) W_2^T ... W_L^T diag(s_L)."""
+    columns = ca.DM.eye(mlp.n_out)
+    for weight, slope in zip(reversed(mlp.weights), reversed(slopes), strict=True):
+        columns = ca.DM(weight.T) @ scale_rows(slope.first, columns)
+    return columns.T
+
+
+def curved(slopes: Sequence[Slopes]) -> bool:
+    """True if any layer has a second derivative."""
+    return any(slope.second is not None for slope in slopes)
+
+
+def arrays(slopes: Sequence[Slopes]) -> list[ca.MX]:
+    """The slopes as a plain list, to be kept for later; `from_arrays` is the way back."""
+    return [part for slope in slopes for part in (slope.first, slope.second) if part is not None]
+
+
+def from_arrays(mlp: MLP, kept: Sequence[ca.MX]) -> list[Slopes]:
+    """The slopes that `arrays` listed."""
+    left, slopes = iter(kept), []
+    for name in mlp.activations:
+        _, pattern = ACTIVATIONS[name](ca.MX.sym("a"))
+        first, second = (None if part is None else next(left) for part in (pattern.first, pattern.second))
+        slopes.append(Slopes(first, second))
+    return slopes
+
+
+def times(factor: ca.MX | None, x: ca.MX) -> ca.MX:
+    """The product element by element; None counts as ones."""
+    return x if factor is None else factor * x
+
+
+def scale_rows(factor: ca.MX | None, matrix: ca.MX) -> ca.MX:
+    """diag(factor) matrix; None counts as ones."""
+    return matrix if factor is None else ca.repmat(factor, 1, matrix.size2()) * matrix
+
+
+def _vector(name: str, value: ArrayLike, length: int) -> Array:
+    array = np.asarray(value, float)
+    if array.shape != (length,) or not np.isfinite(array).all():
+        raise ProblemError(f"{name} must be {length} finite numbers, got shape {array.shape}.")
+    return array

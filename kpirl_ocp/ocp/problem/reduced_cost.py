@@ -1,0 +1,70 @@
+"""The cost as a function of the actions alone, J(u) = cost(rollout(s0, u), u), with gradient and Hessian products.
+
+    dJ/du = r + f_u^T lambda                                     one rollout and one adjoint sweep
+    H du  = the tangent of dJ/du along (dS, du)                  one tangent rollout and one more adjoint sweep
+
+The second also gives, at no further cost, d(du . dJ/du) with respect to the parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients, TrajectoryCost
+from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout, StageSweeps, Sweeps
+
+
+class Linearisation(NamedTuple):
+    """What is known at some actions: J (1, B), dJ/dU (n_u, T B), the rollout, the costates."""
+
+    value: ca.MX
+    gradient: ca.MX
+    rollout: Rollout
+    adjoint: Adjoint
+
+
+class Product(NamedTuple):
+    """H dU (n_u, T B), and d(dU . dJ/dU) by theta and by psi (through the dynamics alone)."""
+
+    by_actions: ca.MX
+    by_coefficients: Coefficients
+    by_parameters: ca.MX
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedCost:
+    """J of B trajectories side by side, as expressions; see `trajectory_passes` for the order of columns."""
+
+    problem: OCP
+    columns: int = 1
+    cost: TrajectoryCost = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cost", TrajectoryCost(self.problem, self.columns))
+
+    @cached_property
+    def sweeps(self) -> Sweeps:
+        """The passes along the dynamics: those that the problem brings, else stage by stage."""
+        derivatives = self.problem.dynamics_derivatives
+        if derivatives.sweeps is not None:
+            return derivatives.sweeps(self.problem.horizon, self.columns)
+        return StageSweeps(self.problem.dynamics, derivatives, self.problem.horizon, self.columns)
+
+    def linearise(self, s0: ca.MX, actions: ca.MX, psi: ca.MX, theta: Coefficients) -> Linearisation:
+        """Value and gradient at actions (n_u, T B)."""
+        rollout = self.sweeps.rollout(s0, actions, psi)
+        value, by_states, by_actions = self.cost.first(rollout.states, actions, theta)
+        adjoint = self.sweeps.adjoint(rollout, psi, by_states)
+        return Linearisation(value, by_actions + adjoint.by_actions, rollout, adjoint)
+
+    def hessian_product(self, rollout: Rollout, memory: Memory, psi: ca.MX, theta: Coefficients, dU: ca.MX) -> Product:
+        """For a direction dU (n_u, T B), at a rollout and with the memory of its adjoint."""
+        dS = self.sweeps.tangent(rollout, psi, dU)
+        by_states, by_actions, by_theta = self.cost.second(rollout.states, rollout.actions, theta, dS, dU)
+        adjoint = self.sweeps.adjoint_tangent(rollout, psi, memory, dS, dU, by_states)
+        return Product(by_actions + adjoint.by_actions, by_theta, adjoint.by_parameters)

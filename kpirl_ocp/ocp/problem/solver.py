@@ -1,0 +1,43 @@
+"""What every solver of the toolkit offers."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.types import Array, Solution, Trajectory
+
+Guess = Solution | Trajectory | None
+
+
+class Solver(Protocol):
+    """A small configured object without hidden state; what it builds for a problem is cached and reused."""
+
+    def solve(
+        self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
+    ) -> Solution:
+        """Solve from s0 (n_s,) for psi (n_psi,) and context (n_c,), starting at `guess` (default: all actions zero).
+
+        Never raises for a failed solve: look at `Solution.status`, or call `Solution.raise_if_failed()`.
+
+        Raises:
+            ProblemError: wrong lengths, or a problem with constraints that this solver does not handle.
+        """
+        ...
+
+
+@runtime_checkable
+class BarrierSolver(Solver, Protocol):
+    """A solver that can stop at the solution of min J - tau sum log(slack), a smooth function of psi."""
+
+    def with_barrier(self, barrier: float) -> BarrierSolver:
+        """The same solver for the problem smoothed with tau = barrier > 0."""
+        ...
+
+
+def guess_actions(problem: OCP, guess: Guess) -> Array:
+    """Actions (T, n_u) to start from: those of the guess, or zero."""
+    return np.zeros((problem.horizon, problem.n_actions)) if guess is None else problem.as_actions(guess.actions)

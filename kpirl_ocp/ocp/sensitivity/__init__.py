@@ -1,0 +1,1 @@
+"""The derivative of a solution, and the evidence for it."""

@@ -1,0 +1,234 @@
+"""The KKT system at a solution, stage by stage.
+
+    H w + A' lambda + C' mu = r_w,    A w = r_d,    C w = r_c
+
+H is the exact Hessian of the Lagrangian, A the Jacobian of the defects, C that of the active inequalities; all of them
+are products over stages, so that nothing here is larger than T blocks. `factorisation` solves it.
+
+Smoothed with a barrier parameter tau, every inequality g <= 0 leaves C and adds mu / slack grad g grad g^T to H
+instead, with mu = tau / slack; only equalities (coinciding bounds) stay in C.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from kpirl_ocp.ocp.codegen.numpy_calls import call
+from kpirl_ocp.ocp.conditions.nlp import NLP, Inequalities, bounded_entries, pack, transcribe
+from kpirl_ocp.ocp.conditions.stage_derivatives import by_time, second
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.types import Array, Mask, Solution
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A problem with its numbers: s0 (n_s,), psi (n_psi,), context (n_c,), and barrier tau >= 0."""
+
+    problem: OCP
+    s0: Array
+    psi: Array
+    context: Array
+    barrier: float = 0.0
+
+    @property
+    def nlp(self) -> NLP:
+        """The problem as a nonlinear program."""
+        return transcribe(self.problem)
+
+    def at(self, w: Array) -> tuple[Array, Array, Array, Array]:
+        """The arguments (S, U, psi, c), flat, that functions of `stage_derivatives` begin with."""
+        split = self.problem.horizon * self.problem.n_states
+        return np.concatenate([self.s0, w[:split]]), w[split:], self.psi, self.context
+
+    def arguments(self, point: PrimalDual) -> tuple[Array, ...]:
+        """The arguments (S, U, psi, c, Lambda, M), flat, of functions with a Lagrangian."""
+        return *self.at(point.w), point.costates, self.path_forces(point.forces)
+
+    def path_forces(self, forces: Array) -> Array:
+        """The entries (T n_h,) of the path constraints in a list over all inequalities."""
+        return forces[len(forces) - self.problem.horizon * self.problem.n_path :]
+
+
+@dataclass(frozen=True)
+class PrimalDual:
+    """A point of the program: w (n_w,), costates (T n_s,), and multipliers >= 0 of the inequalities (n_ineq,)."""
+
+    w: Array
+    costates: Array
+    forces: Array
+
+
+@dataclass(frozen=True)
+class KKTSystem:
+    """First and second derivatives at a point; the inequalities are listed as in `Inequalities`.
+
+    F, G, H: transposed blocks (T, n_x, n_s), (T, n_x, n_h), (T, n_x, n_x) of `stages.second`. H_last: (n_s, n_s).
+    slack: (n_ineq,) of the inequalities; their rows are the Jacobian of -slack.
+    gradient: of J + lambda.defects + mu.path (n_w,). defects: (T n_s,).
+    active: (n_ineq,) which rows are constraints. equal: (n_ineq,) which of them are equalities.
+    stiffness: (n_ineq,) mu / slack of smoothed rows, zero for the others.
+    """
+
+    instance: Instance
+    point: PrimalDual
+    F: Array
+    G: Array
+    H: Array
+    H_last: Array
+    gradient: Array
+    defects: Array
+    slack: Array
+    active: Mask
+    equal: Mask
+    stiffness: Array
+
+    @property
+    def finite(self) -> bool:
+        """True if no derivative holds NaN or infinity."""
+        parts = (self.F, self.G, self.H, self.H_last, self.gradient, self.stiffness)
+        return all(np.isfinite(part).all() for part in parts)
+
+    @cached_property
+    def matrices(self) -> list[Array]:
+        """F, G, H and H_T, flat."""
+        return [self.F.ravel(), self.G.ravel(), self.H.ravel(), self.H_last.ravel()]
+
+    @cached_property
+    def only_actions(self) -> bool:
+        """True if every active row bounds an action."""
+        entries, _ = bounded_entries(self.instance.problem)
+        bounds, path = self.active[: len(entries)], self.active[len(entries) :]
+        return not path.any() and not (entries[bounds] < len(self.defects)).any()
+
+    @cached_property
+    def pushing(self) -> Array:
+        """Multipliers (n_ineq,) of active and of smoothed inequalities, the latter tau / slack; zero for the others."""
+        forces = np.where(self.active, self.point.forces, 0.0)
+        if self.instance.barrier > 0:
+            with np.errstate(divide="ignore"):
+                forces = np.where(self.equal, forces, self.instance.barrier / self.slack)
+        return forces
+
+    @cached_property
+    def newton(self) -> tuple[Array, Array, Array]:
+        """The right-hand side (r_w, r_d, r_c) of a Newton step from w, the costates and `pushing`."""
+        missing = self.pushing.copy()  # the gradient holds the path constraints' forces
+        self.instance.path_forces(missing)[:] -= self.instance.path_forces(self.point.forces)
+        unbalanced = self.gradient + self.times_transposed_rows(missing)
+        return -unbalanced, -self.defects, np.where(self.active, self.slack, 0.0)
+
+    def times_rows(self, w: Array) -> Array:
+        """rows w (n_ineq,)."""
+        entries, signs = bounded_entries(self.instance.problem)
+        if not self.G.size:
+            return signs * w[entries]
+        x, _ = self.by_stage(w)
+        return np.concatenate([signs * w[entries], (x[:, None, :] @ self.G).ravel()])
+
+    def times_transposed_rows(self, forces: Array) -> Array:
+        """rows' forces (n_w,)."""
+        entries, signs = bounded_entries(self.instance.problem)
+        steps, n_s, (_, n_x, n_h) = len(self.H), len(self.H_last), self.G.shape
+        pushed = np.bincount(entries, signs * forces[: len(entries)], steps * n_x).astype(float)
+        if n_h:
+            pushed += self.flat((self.G @ forces[len(entries) :].reshape(steps, n_h, 1))[:, :, 0], np.zeros(n_s))
+        return pushed
+
+    def by_stage(self, w: Array) -> tuple[Array, Array]:
+        """x_t (T, n_x) with zeros for the given s_0, and s_T (n_s,), of w (n_w,)."""
+        steps, n_s, n_x = len(self.H), len(self.H_last), self.H.shape[1]
+        x = np.zeros((steps, n_x))
+        states = w[: steps * n_s].reshape(steps, n_s)
+        x[1:, :n_s], x[:, n_s:] = states[:-1], w[steps * n_s :].reshape(steps, -1)
+        return x, states[-1]
+
+    def flat(self, x: Array, last: Array) -> Array:
+        """w (n_w,) of x_t (T, n_x), of which s_0 is dropped, and s_T (n_s,)."""
+        n_s = len(last)
+        return np.concatenate([x[1:, :n_s].ravel(), last, x[:, n_s:].ravel()])
+
+    def times_hessian(self, w: Array) -> Array:
+        """H w (n_w,), without stiffness."""
+        x, last = self.by_stage(w)
+        return self.flat((self.H @ x[:, :, None])[:, :, 0], self.H_last @ last)
+
+    def times_jacobian(self, w: Array) -> Array:
+        """A w (T n_s,)."""
+        x, _ = self.by_stage(w)
+        return (x[:, None, :] @ self.F).ravel() - w[: len(self.defects)]
+
+    def times_transposed_jacobian(self, costates: Array) -> Array:
+        """A' lambda (n_w,)."""
+        n_s = len(self.H_last)
+        product = self.flat((self.F @ costates.reshape(-1, n_s, 1))[:, :, 0], np.zeros(n_s))
+        product[: len(costates)] -= costates
+        return product
+
+
+def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
+    """The point of a solution."""
+    w = pack(solution.trajectory)
+    rows = Inequalities.at(instance.nlp, w, np.zeros(0))  # of path constraints nothing but the multipliers is asked
+    return PrimalDual(w, solution.multipliers.dynamics.ravel(), rows.forces(solution.multipliers, solution.barrier))
+
+
+def linearise(instance: Instance, point: PrimalDual, active: Mask | None = None) -> KKTSystem:
+    """Evaluate the KKT system at a point for an active set, by default the one that the point suggests."""
+    problem = instance.problem
+    defects, path, r, r_last, F, G, H, H_last = _second(problem, *instance.arguments(point))
+    steps, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
+    G = G.reshape(steps, n_x, problem.n_path)
+    rows = Inequalities.at(instance.nlp, point.w, path)
+    stiffness = np.zeros(len(rows.equal))
+    if instance.barrier > 0:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stiffness = np.where(rows.equal, 0.0, instance.barrier / rows.slack**2)
+    return KKTSystem(
+        instance=instance,
+        point=point,
+        F=F.reshape(steps, n_x, n_s),
+        G=G,
+        H=H.reshape(steps, n_x, n_x),
+        H_last=H_last.reshape(n_s, n_s),
+        gradient=by_time(problem, r, r_last)[n_s:],
+        defects=defects,
+        slack=rows.slack,
+        active=_active(instance, rows, point.forces) if active is None else active,
+        equal=rows.equal,
+        stiffness=stiffness,
+    )
+
+
+def _second(problem: OCP, *arguments: Array) -> list[Array]:
+    """`stages.second` without the cost and its gradient; known where a solve in machine code ended just there."""
+    from kpirl_ocp.ocp.export.resident import latest  # which exports the solver that this differentiates
+
+    machine = latest(problem)
+    known = machine.second(*arguments) if machine else None
+    if known is None:
+        _, defects, path, _, _, *others = call(problem, second)(*arguments)
+        known = [defects, path, *others]
+    return known
+
+
+def _active(instance: Instance, rows: Inequalities, forces: Array) -> Mask:
+    """The active inequalities: multiplier above slack, or an equality.
+
+    Comparing the two, rather than either with a threshold, follows mu * slack -> 0: an inactive row with a tiny
+    multiplier stays inactive, an active row with a tiny slack stays active. In badly chosen units the guess may be
+    wrong; `kpirl_ocp.ocp.sensitivity.nearby_tests` finds out.
+    """
+    active = rows.equal.copy() if instance.barrier > 0 else (forces > rows.slack) | rows.equal
+    upper = slice(rows.bounds.n_lower, None)
+    active[upper] &= ~rows.equal[upper]  # an equality is listed with its lower bound, and here again
+    return active
+
+
+def scatter(active: Mask, values: Array) -> Array:
+    """Values of the active rows in a list over all inequalities, zero elsewhere."""
+    result = np.zeros(len(active))
+    result[active] = values
+    return result

@@ -1,0 +1,199 @@
+"""Gradient descent on the actions, the paper's inner loop (Algorithm 3):
+
+u <- P(u - alpha grad_u C_psi(rollout(s0, u))),    P the identity, or the projection onto the action bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import accumulate
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.codegen.compiler import compiled
+from kpirl_ocp.ocp.conditions.nlp import largest
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
+from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
+from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
+from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory, max_or_nan
+
+
+@dataclass(frozen=True)
+class GradientDescent:
+    """A fixed number of gradient steps.
+
+    steps: N.
+    step_size: alpha; the paper's learning rate for the actions is the default.
+    project: project every step onto the action bounds.
+    tolerance: KKT residual below which the result counts as converged.
+    """
+
+    steps: int = 20
+    step_size: float = 1e-2
+    project: bool = False
+    tolerance: float = 1e-6
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.steps, int) or self.steps < 1:
+            raise ProblemError(f"steps must be a whole number of at least 1, got {self.steps!r}.")
+        if not self.step_size > 0:
+            raise ProblemError(f"step_size must be positive, got {self.step_size!r}.")
+
+    def solve(
+        self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
+    ) -> Solution:
+        """Take the steps; see `Solver.solve`. ProblemError for state bounds or path constraints."""
+        start, psi, context = problem.inputs(s0, psi, context)
+        check_constraints(problem, self.project)
+        output = np.array(_descent(problem, self)(guess_actions(problem, guess).T, start, psi, context)).ravel()
+        return finish(problem, self, float(output[0]), output[1:])
+
+
+def check_constraints(problem: OCP, project: bool) -> None:
+    """Raise ProblemError if the problem has constraints that gradient descent would ignore."""
+    if problem.has_state_constraints:
+        raise ProblemError(
+            "gradient descent cannot honour state bounds or path constraints: use Ipopt, "
+            "or problem.unconstrained() to leave them out on purpose."
+        )
+    if problem.has_action_bounds and not project:
+        raise ProblemError(
+            "the problem has action bounds: use GradientDescent(..., project=True), "
+            "or problem.unconstrained() to leave them out on purpose."
+        )
+
+
+def gradient_step(problem: OCP, solver: GradientDescent, columns: int = 1) -> ca.Function:
+    """(U (n_u, T B), s0, psi, theta) -> next U, J (1, B), U before the projection, and what `hessian_product` needs.
+
+    theta stands for the two arrays of `Coefficients`, the last for states and what
+    rollout and adjoint remember.
+    """
+    reduced, (u, s0, psi, context) = ReducedCost(problem, columns), symbols(problem, columns)
+    theta = symbols_like("theta", reduced.cost.coefficients(psi, context))
+    at = reduced.linearise(s0, u, psi, Coefficients(*theta))
+    free = u - solver.step_size * at.gradient
+    outputs = [
+        project(problem, solver, free),
+        at.value,
+        free,
+        at.rollout.states,
+        *at.rollout.memory,
+        *at.adjoint.memory,
+    ]
+    return ca.Function("gradient_step", [u, s0, psi, *theta], outputs)
+
+
+def project(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX:
+    """P(U): the nearest actions within the bounds, or U itself.
+
+    Written with comparisons, because fmin and fmax would turn NaN into a bound. Infinite bounds become huge ones, so
+    that zero times a bound is zero.
+    """
+    if not solver.project:
+        return u
+    lower, upper = (ca.repmat(np.clip(bound, -1e300, 1e300), 1, u.size2()) for bound in problem.action_bounds)
+    below, above = u < lower, u > upper
+    return below * lower + above * upper + (1 - below - above) * u
+
+
+def inside(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX | float:
+    """The derivative of P(U): one where an action is within its bounds, zero elsewhere."""
+    if not solver.project:
+        return 1.0
+    lower, upper = (ca.repmat(ca.DM(bound), 1, u.size2()) for bound in problem.action_bounds)
+    return 1 - (u < lower) - (u > upper)
+
+
+def terminal_point(at: Linearisation, columns: int = 1) -> ca.MX:
+    """One column per trajectory: states, actions, gradient, costates and objective, as `finish` takes them.
+
+    One array, because handing an array from CasADi to numpy costs as much as a gradient step of a small problem. The
+    costate lambda_{t+1} is the derivative of the objective with respect to a disturbance added to s_{t+1}.
+    """
+    parts = (at.rollout.states, at.rollout.actions, at.gradient, at.adjoint.costates)
+    return ca.vertcat(*(by_trajectory(part, columns) for part in parts), at.value)
+
+
+def by_trajectory(array: ca.MX, columns: int) -> ca.MX:
+    """(n, T B), ordered by time, as (n T, B)."""
+    return ca.horzcat(*(ca.vec(array[:, index::columns]) for index in range(columns)))
+
+
+def symbols(problem: OCP, columns: int = 1) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
+    """U (n_u, T B), s0 (n_s, B), psi (n_psi, B), c (n_c, B)."""
+    return (
+        ca.MX.sym("U", problem.n_actions, problem.horizon * columns),
+        ca.MX.sym("s0", problem.n_states, columns),
+        ca.MX.sym("psi", problem.n_parameters, columns),
+        ca.MX.sym("c", problem.n_context, columns),
+    )
+
+
+def symbols_like(name: str, arrays: Iterable[ca.MX]) -> list[ca.MX]:
+    """New symbols of the same shapes."""
+    return [ca.MX.sym(name, *array.shape) for array in arrays]
+
+
+def repeat(arrays: Iterable[ca.MX], count: int) -> list[ca.MX]:
+    """Each array side by side, as inputs of `count` steps that are the same."""
+    return [ca.repmat(array, 1, count) for array in arrays]
+
+
+@lru_cache(maxsize=64)
+def _descent(problem: OCP, solver: GradientDescent) -> ca.Function:
+    """(U, s0, psi, c) -> the cost of the guess, then `terminal_point`."""
+    reduced, (u, s0, psi, context) = ReducedCost(problem), symbols(problem)
+    theta = reduced.cost.coefficients(psi, context)
+    step = gradient_step(problem, solver)
+    once = ca.Function("once", step.mx_in(), step.call(step.mx_in())[:1])
+    final = once.fold(solver.steps)(u, *repeat((s0, psi, *theta), solver.steps))
+    before, after = (reduced.linearise(s0, actions, psi, theta) for actions in (u, final))
+    output = ca.vertcat(before.value, terminal_point(after))
+    return compiled(ca.Function("descent", [u, s0, psi, context], [output]))
+
+
+def finish(problem: OCP, solver: GradientDescent, initial_cost: float, point: Array) -> Solution:
+    """The audited solution from the cost of the guess and the output of `terminal_point`."""
+    steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
+    lengths = ((steps + 1) * n_s, steps * n_u, steps * n_u, steps * n_s)
+    states, actions, slope, costates = (
+        point[end - length : end].reshape(-1, columns)
+        for length, end, columns in zip(lengths, accumulate(lengths), (n_s, n_u, n_u, n_s), strict=True)
+    )
+    trajectory, objective = Trajectory(states, actions), float(point[-1])
+    pushing = _bound_multipliers(problem, trajectory.actions, slope)
+    scale = max_or_nan(1.0, largest(slope), largest(costates))
+    residuals = KKTResiduals(largest(slope + pushing), 0.0, 0.0, 0.0, scale)
+    multipliers = Multipliers(
+        dynamics=costates,
+        state=np.zeros((steps, n_s)),
+        action=pushing,
+        path=np.zeros((steps, 0)),
+    )
+    status = _status(trajectory, initial_cost, objective, residuals.worst, solver.tolerance)
+    return Solution(trajectory, multipliers, objective, residuals, status, solver.steps)
+
+
+def _bound_multipliers(problem: OCP, actions: Array, slope: Array) -> Array:
+    """nu = -slope where an action lies on a bound and the slope pushes it outwards, else 0; (T, n_u)."""
+    if not problem.has_action_bounds:
+        return np.zeros(slope.shape)
+    lower, upper = (np.asarray(bound, float) for bound in problem.action_bounds)
+    outwards = ((actions >= upper) & (slope < 0)) | ((actions <= lower) & (slope > 0))
+    return np.where(outwards, -slope, 0.0)
+
+
+def _status(trajectory: Trajectory, before: float, objective: float, residual: float, tolerance: float) -> Status:
+    values = np.concatenate([trajectory.states.ravel(), trajectory.actions.ravel(), [objective, residual]])
+    if not np.isfinite(values).all():
+        return Status.DIVERGED if np.isfinite(before) else Status.NOT_FINITE
+    if residual <= tolerance:
+        return Status.CONVERGED
+    return Status.STEPS_TAKEN if objective <= before else Status.DIVERGED

@@ -1,0 +1,128 @@
+"""Ipopt on the multiple-shooting program (Waechter and Biegler, 2006)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.conditions.nlp import audit, bound_multipliers, pack, transcribe, unpack, unpack_multipliers
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
+from kpirl_ocp.types import Array, Solution, Status, Trajectory
+
+_STATUS = {
+    "Solve_Succeeded": Status.CONVERGED,
+    "Maximum_Iterations_Exceeded": Status.ITERATION_LIMIT,
+    "Infeasible_Problem_Detected": Status.INFEASIBLE,
+    "Search_Direction_Becomes_Too_Small": Status.STALLED,
+    "Restoration_Failed": Status.STALLED,
+    "Error_In_Step_Computation": Status.STALLED,
+    "Diverging_Iterates": Status.DIVERGED,
+    "Invalid_Number_Detected": Status.NOT_FINITE,
+}
+
+
+@dataclass(frozen=True)
+class Ipopt:
+    """Interior-point solver with exact Hessian; bounds and path constraints; warm start from a `Solution`.
+
+    tolerance: Ipopt's own, on the unscaled program.
+    max_iterations: before it gives up.
+    barrier: complementarity tau at which to stop. Zero solves the problem itself; tau > 0 solves
+        min J - tau sum log(slack), whose solution is a smooth function of psi.
+    """
+
+    tolerance: float = 1e-10
+    max_iterations: int = 500
+    barrier: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.tolerance > 0 or not self.barrier >= 0 or self.max_iterations < 1:
+            raise ProblemError("Ipopt needs tolerance > 0, barrier >= 0 and max_iterations >= 1.")
+
+    def with_barrier(self, barrier: float) -> Ipopt:
+        """The same solver for the smoothed problem."""
+        return replace(self, barrier=barrier)
+
+    def solve(
+        self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
+    ) -> Solution:
+        """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
+        start, psi, context = problem.inputs(s0, psi, context)
+        nlp = transcribe(problem)
+        solver = _build(problem, self, warm=isinstance(guess, Solution))
+        arguments = {
+            "x0": self._start(problem, start, psi, guess),
+            "p": np.concatenate([start, psi, context]),
+            "lbx": nlp.lower,
+            "ubx": nlp.upper,
+            "lbg": np.concatenate([np.zeros(nlp.n_defects), np.full(problem.horizon * problem.n_path, -np.inf)]),
+            "ubg": np.zeros(nlp.n_defects + problem.horizon * problem.n_path),
+        }
+        if isinstance(guess, Solution):
+            arguments["lam_x0"] = bound_multipliers(guess.multipliers)
+            arguments["lam_g0"] = np.concatenate([guess.multipliers.dynamics.ravel(), guess.multipliers.path.ravel()])
+        result = solver(**arguments)
+        return self._solution(problem, start, psi, context, result, solver.stats())
+
+    def _start(self, problem: OCP, s0: Array, psi: Array, guess: Guess) -> Array:
+        """w (n_w,): the guess as it stands, or a rollout with zero actions."""
+        if guess is None:
+            return pack(problem.simulate(s0, guess_actions(problem, None), psi))
+        return pack(Trajectory(problem.as_states(guess.states), problem.as_actions(guess.actions)))
+
+    def _solution(
+        self, problem: OCP, s0: Array, psi: Array, context: Array, result: dict[str, ca.DM], stats: dict[str, object]
+    ) -> Solution:
+        trajectory = unpack(problem, s0, np.array(result["x"]).ravel())
+        multipliers = unpack_multipliers(problem, np.array(result["lam_x"]).ravel(), np.array(result["lam_g"]).ravel())
+        word = str(stats["return_status"])
+        return Solution(
+            trajectory=trajectory,
+            multipliers=multipliers,
+            objective=float(result["f"]),
+            residuals=audit(problem, psi, context, trajectory, multipliers, self.barrier),
+            status=_STATUS.get(word, Status.FAILED),
+            iterations=min(max(int(str(stats["iter_count"])), 0), self.max_iterations),  # unset when it never started
+            barrier=self.barrier,
+            message=f"Ipopt: {word}",
+        )
+
+
+@lru_cache(maxsize=64)
+def _build(problem: OCP, solver: Ipopt, warm: bool) -> ca.Function:
+    nlp = transcribe(problem)
+    point = [nlp.symbols[name] for name in ("w", "s0", "psi", "c")]
+    objective, defects, path = nlp.values(*point)
+    program = {"x": nlp.symbols["w"], "p": nlp.symbols["p"], "f": objective, "g": ca.vertcat(defects, path)}
+    options = {
+        "tol": solver.tolerance,
+        "max_iter": solver.max_iterations,
+        "mu_target": solver.barrier,
+        "acceptable_iter": 0,
+        "nlp_scaling_method": "none",  # tolerances and multipliers in the user's units; mu_target is scaled with them
+        "bound_relax_factor": 0.0,  # the default moves every bound by 1e-8
+        "print_level": 0,
+        "sb": "yes",
+    }
+    if solver.barrier > 0:
+        # Start at the one barrier problem to be solved; kappa_d would add a linear term to one-sided constraints.
+        # The tolerance bounds multiplier * slack - tau, so it has to be small beside tau.
+        tolerance = min(solver.tolerance, max(1e-6 * solver.barrier, 1e-13))
+        options |= {"tol": tolerance, "mu_init": solver.barrier, "kappa_d": 0.0}
+    if warm:
+        options |= {
+            "warm_start_init_point": "yes",
+            "mu_init": solver.barrier or 1e-6,
+            "warm_start_bound_push": 1e-8,
+            "warm_start_slack_bound_push": 1e-8,
+            "warm_start_mult_bound_push": 1e-8,
+            "warm_start_bound_frac": 1e-8,
+            "warm_start_slack_bound_frac": 1e-8,
+        }
+    return ca.nlpsol("ipopt", "ipopt", program, {"ipopt": options, "print_time": False, "show_eval_warnings": False})

@@ -1,0 +1,1 @@
+"""Videos, motions and data sets."""

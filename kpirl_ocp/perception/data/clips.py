@@ -1,0 +1,53 @@
+"""What training reads: directories of recordings, and videos of any kind without labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from tqdm import tqdm
+
+from kpirl_ocp.episodes import ArmTrack, episode_path, iterate_episodes, read_meta
+from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.perception.data.recordings import ArmRecording, Recording, read_hand
+from kpirl_ocp.perception.data.video import Frames, read_demonstration
+from kpirl_ocp.perception.detector.detector import KeypointDetector
+
+_RATE = 5.0  # [Hz] at which a person's video is read
+
+
+def recordings(directory: str | Path) -> list[Recording]:
+    """The clips of a directory made by `scripts/collect_data.py`; those of a hand at 5 Hz."""
+    directory = Path(directory)
+    meta = read_meta(directory)
+    if meta.get("robot") is None:
+        return [read_hand(episode_path(directory, i), _RATE) for i in range(meta["episodes"])]
+    return list(iterate_episodes(directory, meta["episodes"], Recording))
+
+
+def unlabelled(paths: Sequence[str | Path]) -> list[Frames]:
+    """Frames at 5 Hz of videos, or of all videos in directories. Raises EpisodeError if a directory has none."""
+    clips = []
+    for path in map(Path, paths):
+        videos = sorted(path.glob("*.avi")) + sorted(path.glob("*.mp4")) if path.is_dir() else [path]
+        if not videos:
+            raise EpisodeError(f"{path} holds no .avi or .mp4 video.")
+        clips += [read_demonstration(video, rate=_RATE) for video in videos]
+    return clips
+
+
+def detect_tracks(detector: KeypointDetector, directory: str | Path) -> list[ArmTrack]:
+    """The keypoints of all recordings of the robot in a directory, one recording in memory at a time."""
+    directory = Path(directory)
+    count = read_meta(directory)["episodes"]
+    clips = tqdm(iterate_episodes(directory, count, ArmRecording), f"detect {directory.name}", count, unit="episode")
+    return [
+        ArmTrack(
+            keypoints=detector.detect(clip.images),
+            times=clip.times,
+            joints=clip.joints,
+            velocities=clip.velocities,
+            actions=clip.actions,
+        )
+        for clip in clips
+    ]

@@ -1,0 +1,81 @@
+"""Collect a data set: play a motion many times, in parallel over processes, and write what the camera saw.
+
+Episode i depends on the seed and i alone, and is written whole or not at all; an interrupted collection goes on where
+it stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+from tqdm import tqdm
+
+from kpirl_ocp.episodes import episode_path, read_meta, write_meta
+from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.perception.data.motions import MOTIONS, ArmMotion, Motion
+from kpirl_ocp.perception.scene.camera import Camera
+
+
+def collect(directory: str | Path, motion: Motion, count: int, seed: int = 0, jobs: int = 1) -> Path:
+    """Write `count` episodes of a motion with their `meta.json`; those that are there already are kept.
+
+    Raises EpisodeError if the directory holds data of other settings.
+    """
+    directory = Path(directory)
+    if count < 1 or jobs < 1 or seed < 0:
+        raise EpisodeError(
+            f"{directory}: needs at least one episode and one process and a seed >= 0, got {count}, {jobs} and {seed}."
+        )
+    directory.mkdir(parents=True, exist_ok=True)
+    _agree(directory, count, describe(motion, seed))
+    missing = [i for i in range(count) if not episode_path(directory, i).exists()]
+    written = joblib.Parallel(jobs, return_as="generator_unordered")(
+        joblib.delayed(_record)(directory, motion, seed, index) for index in missing
+    )
+    for _ in tqdm(written, directory.name, len(missing), unit="episode"):
+        pass
+    return directory
+
+
+def describe(motion: Motion, seed: int) -> dict[str, Any]:
+    """The meta data of a collection."""
+    name = next(name for name, kind in MOTIONS.items() if type(motion) is kind)
+    camera = Camera()
+    return {
+        "motion": name,
+        "settings": asdict(motion),  # type: ignore[call-overload]
+        "fps": motion.rate,
+        "size": [camera.height, camera.width],
+        "camera": asdict(camera) | {"intrinsics": camera.intrinsics.tolist()},
+        "robot": "iiwa" if isinstance(motion, ArmMotion) else None,
+        "seed": seed,
+    }
+
+
+def _agree(directory: Path, count: int, meta: Mapping[str, Any]) -> None:
+    """Write the meta data, or check that what is there was made with the same settings."""
+    if (directory / "meta.json").exists():
+        found = read_meta(directory)
+        different = [key for key, value in meta.items() if _plain(found.get(key)) != _plain(value)]
+        if different:
+            raise EpisodeError(
+                f"{directory} holds data with another {', '.join(different)}: choose another directory, or delete it."
+            )
+        count = max(count, found["episodes"])
+    write_meta(directory, count, meta)
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as the lists that JSON makes of them."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return [_plain(entry) for entry in value] if isinstance(value, tuple | list) else value
+
+
+def _record(directory: Path, motion: Motion, seed: int, index: int) -> None:
+    motion.write(episode_path(directory, index), np.random.default_rng([seed, index]))

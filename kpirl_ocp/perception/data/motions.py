@@ -1,0 +1,289 @@
+"""What the robot and the hand do in front of the camera: one small record per data set of the paper.
+
+Each has the paper's numbers as defaults, a `rate` [Hz], a usual number of `episodes`, and `write(path, rng)`, which
+plays one episode. What the paper leaves open (where the arm is, how far it moves) is chosen so that the bottle stays in
+the image.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import ClassVar, Protocol, TypeVar
+
+import numpy as np
+
+from kpirl_ocp.episodes import write_episode
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.motion import forward_then_down, minimum_jerk
+from kpirl_ocp.perception.data.recordings import ArmRecording, Truth
+from kpirl_ocp.perception.data.video import write_video
+from kpirl_ocp.perception.scene.bodies import BOTTLE
+from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path, wandering_path
+from kpirl_ocp.perception.scene.posture import UPRIGHT, carry
+from kpirl_ocp.perception.scene.scene import Scene
+from kpirl_ocp.types import Array
+
+# Where the bottle may be in the plane of the camera [m, m, rad]: above the shelf and well inside the image.
+_NEAR, _FAR = np.array([0.50, 0.42, -0.3]), np.array([0.76, 0.72, 0.3])
+_IN_PLANE = np.array([False, True, False, True, False, True, False])  # joints 2, 4 and 6
+_MARGIN = 25.0  # the middle of the bottle stays this far from the image's edge [pixels]
+_SHELF = 0.415  # height of the middle of a bottle that stands on the shelf [m]
+
+
+T = TypeVar("T", int, float)
+
+
+def setting(default: T, text: str, least: float = 1) -> T:
+    """A number of a motion that is an option of `scripts/collect_data.py`, with its help and its smallest value."""
+    value: T = field(default=default, metadata={"help": text, "least": least})
+    return value
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """Settings that are checked before anything is played."""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value, least = getattr(self, entry.name), entry.metadata["least"]
+            if not value >= least:
+                raise ProblemError(f"{entry.name} must be at least {least}, got {value}.")
+
+
+class Motion(Protocol):
+    """A data set in the making."""
+
+    episodes: ClassVar[int]
+
+    @property
+    def rate(self) -> int:
+        """Frames per second."""
+        ...
+
+    def write(self, path: Path, rng: np.random.Generator) -> None:
+        """Play one episode and write it to `path`; the same generator state gives the same one."""
+        ...
+
+
+@dataclass(frozen=True)
+class ArmMotion(_Checked, ABC):
+    """A motion of the robot, recorded with all that its encoders and camera see."""
+
+    rate: int = setting(5, "frames per second, a divisor of 240")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        Scene(rate=self.rate)  # refuses a rate that it cannot keep
+
+    @abstractmethod
+    def record(self, rng: np.random.Generator) -> ArmRecording:
+        """Play and record one episode."""
+
+    def write(self, path: Path, rng: np.random.Generator) -> None:
+        """Play one episode and write it to `path`."""
+        write_episode(path, self.record(rng))
+
+
+@dataclass(frozen=True)
+class LastJoint(ArmMotion):
+    """Data for the detector (A.2): the arm goes to a random posture, and then only its last joint moves."""
+
+    episodes: ClassVar[int] = 108
+    frames: int = setting(10, "per sequence", 2)
+    swing: float = setting(0.8, "largest amplitude of the last joint [rad]", 0.0)
+    off_plane: float = setting(0.1, "how far joints 1, 3 and 5 are from the plane of the camera, at most [rad]", 0.0)
+
+    def record(self, rng: np.random.Generator) -> ArmRecording:
+        """One sequence."""
+
+        def draw() -> Array:
+            start = np.where(_IN_PLANE, _posture(rng), rng.uniform(-self.off_plane, self.off_plane, 7))
+            swing = _sine(rng, self.frames, self.rate, (0.5 * self.swing, self.swing), (0.10, 0.25))
+            return start + np.outer(swing, np.eye(7)[6])
+
+        with Scene(rate=self.rate) as scene:
+            return _follow(scene, _visible(scene, draw))
+
+
+@dataclass(frozen=True)
+class Sines(ArmMotion):
+    """Data for the dynamics of reaching (A.3): sine motions of all joints, of joints 2, 4 and 6 the most."""
+
+    episodes: ClassVar[int] = 100
+    steps: int = setting(50, "actions per trajectory")
+    amplitude: float = setting(0.25, "largest amplitude of joints 2, 4 and 6 [rad]", 0.0)
+    others: float = setting(0.03, "largest amplitude of the other joints [rad]", 0.0)
+
+    def record(self, rng: np.random.Generator) -> ArmRecording:
+        """One trajectory."""
+
+        def draw() -> Array:
+            most = np.where(_IN_PLANE, self.amplitude, self.others)
+            sines = [_sine(rng, self.steps + 1, self.rate, (0.3 * a, a), (0.05, 0.30)) for a in most]
+            return _posture(rng) + np.column_stack(sines)
+
+        with Scene(rate=self.rate) as scene:
+            return _follow(scene, _visible(scene, draw))
+
+
+@dataclass(frozen=True)
+class Placing(ArmMotion):
+    """Data for the dynamics of placing (A.3): a scripted expert places the bottle roughly, with noise on its actions.
+
+    The augmentation is the noise and the random turn of the bottle: the expert's path is played from many starts and
+    disturbed at every step, so that the model also sees what lies beside the path.
+    """
+
+    episodes: ClassVar[int] = 100
+    rate: int = setting(1, "frames per second, a divisor of 240")
+    steps: int = setting(10, "actions per trajectory")
+    noise: float = setting(0.03, "standard deviation added to each action, joints 2, 4 and 6 [rad]", 0.0)
+    others: float = setting(0.005, "the same for the other joints [rad]", 0.0)
+
+    def record(self, rng: np.random.Generator) -> ArmRecording:
+        """One trajectory."""
+
+        def draw() -> Array:
+            forward, down = rng.uniform(0.08, 0.22), rng.uniform(0.08, 0.25)
+            end = np.array([rng.uniform(0.64, 0.74), 0.0, _SHELF + rng.uniform(0.0, 0.06)])
+            path = end - [forward, 0.0, -down] + forward_then_down(forward, down, np.linspace(0, 1, self.steps + 1))
+            return _carried(path, UPRIGHT + rng.uniform(-0.2, 0.2))
+
+        with Scene(rate=self.rate) as scene:
+            reference = _visible(scene, draw)
+            spread = np.where(_IN_PLANE, self.noise, self.others)
+            return _follow(scene, reference, rng.normal(0.0, spread, (self.steps, 7)))
+
+
+@dataclass(frozen=True)
+class Reaching(ArmMotion):
+    """Demonstrations of reaching (5.1): the robot moves the object along the x axis of the image only."""
+
+    episodes: ClassVar[int] = 15
+    steps: int = setting(25, "actions per demonstration")
+
+    def record(self, rng: np.random.Generator) -> ArmRecording:
+        """One demonstration, with a person's speed profile."""
+
+        def draw() -> Array:
+            progress = minimum_jerk(np.linspace(0, 1, self.steps + 1))
+            start = np.array([rng.uniform(0.50, 0.58), 0.0, rng.uniform(0.46, 0.66)])
+            path = start + np.outer(progress, [rng.uniform(0.12, 0.20), 0.0, 0.0])
+            return _carried(path, UPRIGHT)
+
+        with Scene(rate=self.rate) as scene:
+            return _follow(scene, _visible(scene, draw))
+
+
+@dataclass(frozen=True)
+class HandMotion(_Checked, ABC):
+    """A motion of a hand that holds the bottle: a lossless video beside the truth."""
+
+    rate: int = setting(int(RATE), "frames per second")
+    seconds: float = setting(2.0, "length of the clip", 0.1)
+    tremor: float = setting(1e-3, "standard deviation of the hand's wander [m]", 0.0)
+
+    @abstractmethod
+    def path(self, rng: np.random.Generator) -> Array:
+        """Where the bottle is carried (n, 3) [m]."""
+
+    def write(self, path: Path, rng: np.random.Generator) -> None:
+        """Film one clip: the truth to `path`, the video beside it."""
+        with HandScene() as scene:
+            frames = [scene.look(position) for position in self.path(rng)]
+        write_video(path.with_suffix(".avi"), np.array([frame.rgb for frame in frames]), self.rate)
+        write_episode(path, Truth(**Truth.columns(frames, self.rate)))
+
+
+@dataclass(frozen=True)
+class HandPlacing(HandMotion):
+    """Demonstrations of placing (5.2): a hand puts the bottle on the shelf; a lossless video beside the truth."""
+
+    episodes: ClassVar[int] = 12
+
+    def path(self, rng: np.random.Generator) -> Array:
+        """Along x, then down."""
+        return placing_path(rng, seconds=self.seconds, rate=self.rate, tremor=self.tremor)
+
+
+@dataclass(frozen=True)
+class HandWandering(HandMotion):
+    """Clips for the detector: a hand carries the bottle about; a lossless video beside the truth."""
+
+    episodes: ClassVar[int] = 24
+    seconds: float = setting(4.0, "length of the clip", 0.1)
+
+    def path(self, rng: np.random.Generator) -> Array:
+        """To a new place every second."""
+        return wandering_path(rng, seconds=self.seconds, rate=self.rate, tremor=self.tremor)
+
+
+MOTIONS: Mapping[str, type[Motion]] = {
+    "keypoints": LastJoint,
+    "sines": Sines,
+    "placing": Placing,
+    "reaching": Reaching,
+    "hand-placing": HandPlacing,
+    "hand-wandering": HandWandering,
+}
+
+
+def _posture(rng: np.random.Generator) -> Array:
+    """A posture (7,) [rad] with the bottle somewhere in front of the camera."""
+    x, z, tilt = rng.uniform(_NEAR, _FAR)
+    return carry(x, z, UPRIGHT + tilt)
+
+
+def _carried(path: Array, pitch: float) -> Array:
+    """Postures (n, 7) [rad] along a path (n, 3) [m] of the bottle in the plane."""
+    return np.array([carry(x, z, pitch) for x, _, z in path])
+
+
+def _sine(
+    rng: np.random.Generator, count: int, rate: int, amplitude: tuple[float, float], frequency: tuple[float, float]
+) -> Array:
+    """A sine (count,) [rad] of random amplitude [rad], frequency [Hz] and phase."""
+    times = np.arange(count) / rate
+    return rng.uniform(*amplitude) * np.sin(2 * np.pi * (rng.uniform(*frequency) * times + rng.uniform()))
+
+
+def _visible(scene: Scene, draw: Callable[[], Array]) -> Array:
+    """The first drawn reference (n, 7) [rad] within the joint limits, with the bottle in the image, above the shelf."""
+    low, high = scene.joint_limits
+    size = np.array([scene.camera.width, scene.camera.height])
+    for _ in range(1000):
+        try:
+            reference = draw()
+        except ProblemError:
+            continue  # out of reach
+        if ((reference >= low) & (reference <= high)).all():
+            positions = np.array([_position(scene, theta) for theta in reference])
+            places = scene.camera.project(positions)
+            if ((places > _MARGIN) & (places < size - _MARGIN)).all() and (positions[:, 2] > _SHELF - 1e-3).all():
+                return reference
+    raise ProblemError("no motion with the bottle in the image was found in 1000 draws: use smaller amplitudes.")
+
+
+def _position(scene: Scene, theta: Array) -> Array:
+    """Where the bottle is (3,) [m] with the arm at theta (7,) [rad]."""
+    scene.reset(theta)
+    return scene.link_pose(BOTTLE)[1]
+
+
+def _follow(scene: Scene, reference: Array, noise: Array | None = None) -> ArmRecording:
+    """Record the robot following joint positions (T+1, 7) [rad]; every action aims from where it is at the next one."""
+    states, frames, actions = [scene.reset(reference[0])], [scene.render()], []
+    for step, target in enumerate(reference[1:]):
+        actions.append(target - states[-1].positions + (0.0 if noise is None else noise[step]))
+        states.append(scene.step(actions[-1]))
+        frames.append(scene.render())
+    return ArmRecording(
+        **ArmRecording.columns(frames, scene.rate),
+        images=np.array([frame.rgb for frame in frames]),
+        joints=np.array([state.positions for state in states]),
+        velocities=np.array([state.velocities for state in states]),
+        actions=np.array(actions),
+    )

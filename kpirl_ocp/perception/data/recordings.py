@@ -1,0 +1,66 @@
+"""What the camera recorded, with the truth about the object that only a simulation knows (for evaluation)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kpirl_ocp.episodes import read_episode, stored
+from kpirl_ocp.perception.data.video import every, read_demonstration
+from kpirl_ocp.perception.scene.world import Frame
+from kpirl_ocp.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Where the bottle is in a clip of T+1 frames.
+
+    bottle: (T+1, H, W) bool, the pixels that show it.
+    place: (T+1, 2) its projected middle [pixels].
+    times: (T+1,) [s].
+    """
+
+    bottle: NDArray[np.bool_] = stored("observation.masks.bottle", np.bool_, "T+1", "H", "W")
+    place: Array = stored("observation.place", np.float64, "T+1", 2)
+    times: Array = stored("timestamp", np.float64, "T+1")
+
+    @staticmethod
+    def columns(frames: Sequence[Frame], rate: float) -> dict[str, Any]:
+        """The three arrays of a clip at `rate` [Hz]."""
+        return {
+            "bottle": np.array([frame.bottle for frame in frames]),
+            "place": np.array([frame.place for frame in frames]),
+            "times": np.arange(len(frames)) / rate,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Recording(Truth):
+    """The frames as well: images (T+1, H, W, 3) uint8 RGB."""
+
+    images: NDArray[np.uint8] = stored("observation.images.camera", np.uint8, "T+1", "H", "W", 3)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmRecording(Recording):
+    """A clip of the robot, with what its encoders measured and what it was told.
+
+    joints: (T+1, 7) [rad]. velocities: (T+1, 7) [rad/s]. actions: (T, 7) commanded joint displacements [rad].
+    """
+
+    joints: Array = stored("observation.state", np.float64, "T+1", "n_joints")
+    velocities: Array = stored("observation.velocity", np.float64, "T+1", "n_joints")
+    actions: Array = stored("action", np.float64, "T", "n_joints")
+
+
+def read_hand(path: Path, rate: float = 5.0) -> Recording:
+    """A hand's demonstration at `rate` [Hz]: the frames from its video, the truth from the episode `path` beside it."""
+    truth = read_episode(path, Truth)
+    images = read_demonstration(path.with_suffix(".avi"), rate=rate, size=truth.bottle.shape[1])
+    chosen = every(len(truth.times), 1 / (truth.times[1] - truth.times[0]), rate)
+    return Recording(truth.bottle[chosen], truth.place[chosen], truth.times[chosen], images)

@@ -1,0 +1,1 @@
+"""The keypoint detector: network, losses, training and evaluation."""

@@ -1,0 +1,66 @@
+"""A trained keypoint detector: images in, keypoints out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.perception.detector.autoencoder import KeypointAutoencoder
+from kpirl_ocp.perception.detector.keypoints import sharpened
+from kpirl_ocp.perception.detector.training import resize
+from kpirl_ocp.perception.model_files import fitting, read_model, write_model
+from kpirl_ocp.types import Array
+
+KIND = "kpirl_ocp.detector"
+_BATCH = 64
+
+
+@dataclass(frozen=True)
+class KeypointDetector:
+    """z = g_key(image): K keypoints (x, y, mu), in image units (see `keypoints`).
+
+    model: the autoencoder, of which the encoder is used. size: side of the images it was trained on [pixels].
+    """
+
+    model: KeypointAutoencoder
+    size: int
+
+    @classmethod
+    def load(cls, path: str | Path) -> KeypointDetector:
+        """The detector of a card `path` (.json) and the weights beside it. Raises EpisodeError for damaged files."""
+        card, tensors = read_model(Path(path), KIND)
+        with fitting(path):
+            build = card["architecture"]
+            model = KeypointAutoencoder(build["size"], build["keypoints"], build["encoder"], build["filters"])
+            model.load_state_dict({name: torch.from_numpy(value) for name, value in tensors.items()})
+        return cls(model.eval(), build["size"])
+
+    def save(self, path: str | Path, card: Mapping[str, Any]) -> Path:
+        """Write weights and card; `card` needs the "architecture": size, keypoints, encoder, filters."""
+        tensors = {name: value.contiguous().numpy() for name, value in self.model.state_dict().items()}
+        return write_model(Path(path), KIND, tensors, card)
+
+    def detect(self, images: Frames) -> Array:
+        """Keypoints (n, K, 3) of images (n, H, W, 3) uint8 RGB, square."""
+        images = np.asarray(images)
+        if images.ndim != 4 or images.shape[1] != images.shape[2] or images.shape[3] != 3 or images.dtype != np.uint8:
+            raise ProblemError(
+                f"images must be square and (n, H, W, 3) uint8 RGB, got {images.shape} {images.dtype}; "
+                "perception.video.read_demonstration crops and resizes a video."
+            )
+        batches = [images[start : start + _BATCH] for start in range(0, len(images), _BATCH)]
+        nothing = np.empty((0, self.model.head.out_channels, 3))
+        return np.concatenate([nothing, *(self._detect(batch) for batch in batches)])
+
+    @torch.inference_mode()
+    def _detect(self, images: Frames) -> Array:
+        frames = torch.from_numpy(resize(images, self.size)).permute(0, 3, 1, 2).float() / 255
+        scores = self.model.encode(frames).scores
+        return sharpened(scores).double().numpy()

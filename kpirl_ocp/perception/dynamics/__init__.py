@@ -1,0 +1,1 @@
+"""Dynamics learned in keypoints."""

@@ -1,0 +1,1 @@
+"""The scene in PyBullet: robot, bottle, shelf, hand and camera."""

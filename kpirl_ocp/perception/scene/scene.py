@@ -1,0 +1,128 @@
+"""The scene: an iiwa that holds a bottle in front of a shelf, seen by one fixed camera (PyBullet, no window).
+
+The arm is not an ideal integrator. `step(u)` commands the measured position plus u and lets the motors follow for one
+period, with limited gain and velocity, so that the executed motion falls short of the commanded one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.perception.scene.bodies import BOTTLE, write_arm_with_bottle
+from kpirl_ocp.perception.scene.bullet import pybullet
+from kpirl_ocp.perception.scene.world import Frame, World
+from kpirl_ocp.types import Array
+
+_PHYSICS_RATE = 240  # [Hz]
+
+
+@dataclass(frozen=True)
+class Motors:
+    """How the arm follows a command.
+
+    position_gain, velocity_gain: of PyBullet's position control. velocity_limit: [rad/s].
+    ideal: jump to the commanded position instead, for tests.
+    """
+
+    position_gain: float = 0.1
+    velocity_gain: float = 1.0
+    velocity_limit: float = 0.5
+    ideal: bool = False
+
+
+@dataclass(frozen=True)
+class JointState:
+    """Measured joint positions (7,) [rad] and velocities (7,) [rad/s]."""
+
+    positions: Array
+    velocities: Array
+
+
+@dataclass
+class Scene(World):
+    """The simulated robot; use it in a `with` block. The same commands give the same motion and frames.
+
+    rate: [Hz] of `step`; a divisor of 240.
+    """
+
+    motors: Motors = field(default_factory=Motors)
+    rate: int = 5
+
+    def __post_init__(self) -> None:
+        if self.rate < 1 or _PHYSICS_RATE % self.rate:
+            raise ProblemError(f"rate must divide the {_PHYSICS_RATE} Hz of the simulation, got {self.rate!r}.")
+
+    def __enter__(self) -> Scene:
+        super().__enter__()
+        self._client.setGravity(0.0, 0.0, -9.81)
+        self._client.setTimeStep(1 / _PHYSICS_RATE)
+        self.urdf = write_arm_with_bottle(self._directory)
+        self._arm = self._load(self.urdf)
+        infos = [self._client.getJointInfo(self._arm, i) for i in range(self._client.getNumJoints(self._arm))]
+        self._links = {info[12].decode(): info[0] for info in infos}
+        moving = [info for info in infos if info[2] == pybullet.JOINT_REVOLUTE]
+        self._joints = [info[0] for info in moving]
+        self.joint_limits = np.array([info[8] for info in moving]), np.array([info[9] for info in moving])
+        self.reset(np.zeros(len(moving)))
+        return self
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Names of all links but the base."""
+        return tuple(self._links)
+
+    def reset(self, theta: ArrayLike) -> JointState:
+        """Put the arm at rest at theta (7,) [rad]. Raises ProblemError outside the joint limits."""
+        positions = self._checked("theta", theta)
+        lower, upper = self.joint_limits
+        if ((positions < lower) | (positions > upper)).any():
+            raise ProblemError(f"theta must be within the joint limits {lower} .. {upper}, got {positions}.")
+        for joint, position in zip(self._joints, positions, strict=True):
+            self._client.resetJointState(self._arm, joint, position, 0.0)
+        return self.measure()
+
+    def step(self, u: ArrayLike) -> JointState:
+        """Command the measured joint positions plus u (7,) [rad], at most to the limits, and wait one period."""
+        target = np.clip(self.measure().positions + self._checked("u", u), *self.joint_limits)
+        if self.motors.ideal:
+            return self.reset(target)
+        for joint, position in zip(self._joints, target, strict=True):
+            self._client.setJointMotorControl2(
+                self._arm,
+                joint,
+                pybullet.POSITION_CONTROL,
+                targetPosition=position,
+                positionGain=self.motors.position_gain,
+                velocityGain=self.motors.velocity_gain,
+                maxVelocity=self.motors.velocity_limit,
+            )
+        for _ in range(_PHYSICS_RATE // self.rate):
+            self._client.stepSimulation()
+        return self.measure()
+
+    def measure(self) -> JointState:
+        """Joint positions and velocities as the encoders see them."""
+        states = self._client.getJointStates(self._arm, self._joints)
+        return JointState(np.array([state[0] for state in states]), np.array([state[1] for state in states]))
+
+    def link_pose(self, link: str) -> tuple[Array, Array]:
+        """World rotation (3, 3) and position (3,) [m] of a link's frame. Raises ProblemError for an unknown link."""
+        if link not in self._links:
+            raise ProblemError(f"the scene's arm has no link {link!r}; its links are: {', '.join(self._links)}.")
+        state = self._client.getLinkState(self._arm, self._links[link], computeForwardKinematics=True)
+        rotation = self._client.getMatrixFromQuaternion(state[5])
+        return np.array(rotation).reshape(3, 3), np.array(state[4])
+
+    def render(self) -> Frame:
+        """What the camera sees now."""
+        return self._render(self._arm, self._links[BOTTLE], self.link_pose(BOTTLE)[1])
+
+    def _checked(self, name: str, values: ArrayLike) -> Array:
+        array = np.asarray(values, float)
+        if array.shape != (len(self._joints),) or not np.isfinite(array).all():
+            raise ProblemError(f"{name} must be {len(self._joints)} finite numbers [rad], got {values!r}.")
+        return array

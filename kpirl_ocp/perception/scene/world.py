@@ -1,0 +1,87 @@
+"""What the scenes share: a PyBullet world with furniture, and pictures of it by the software renderer."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from kpirl_ocp.perception.scene.bullet import connect, pybullet
+from kpirl_ocp.perception.scene.camera import Camera
+from kpirl_ocp.types import Array, Mask
+
+# Static boxes: half extents [m], centre [m], colour. A table top at z = 0, and a shelf of a board and an upright.
+_FURNITURE = (
+    ((0.90, 0.70, 0.02), (0.45, 0.0, -0.02), (0.72, 0.65, 0.55)),
+    ((0.11, 0.15, 0.01), (0.70, 0.0, 0.30), (0.55, 0.40, 0.25)),
+    ((0.01, 0.15, 0.16), (0.80, 0.0, 0.15), (0.55, 0.40, 0.25)),
+)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """An image and where the bottle is in it.
+
+    rgb: (H, W, 3) uint8. bottle: (H, W) bool, the pixels that show it. place: (2,) its projected middle [pixels].
+    """
+
+    rgb: NDArray[np.uint8]
+    bottle: Mask
+    place: Array
+
+
+W = TypeVar("W", bound="World")
+
+
+@dataclass
+class World:
+    """A PyBullet world without a window, with table, shelf and one camera; use it in a `with` block.
+
+    Several may be open at once. The furniture is seen, but nothing collides with it.
+    """
+
+    camera: Camera = field(default_factory=Camera)
+
+    def __enter__(self: W) -> W:
+        self._directory = Path(tempfile.mkdtemp(prefix="kpirl_ocp-"))
+        self._client = connect()
+        for half, centre, colour in _FURNITURE:
+            visual = self._client.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, rgbaColor=(*colour, 1.0))
+            self._client.createMultiBody(baseMass=0, baseVisualShapeIndex=visual, basePosition=centre)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._client.disconnect()
+        shutil.rmtree(self._directory)
+
+    def _load(self, urdf: Path) -> int:
+        """Load a body that is fixed to the world, and give its number."""
+        flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+        return int(self._client.loadURDF(str(urdf), useFixedBase=True, flags=flags))
+
+    def _render(self, body: int, link: int, position: ArrayLike) -> Frame:
+        """What the camera sees, with the bottle, `link` of `body` (-1 for its base), at position (3,) [m]."""
+        camera = self.camera
+        _, _, rgba, _, labels = self._client.getCameraImage(
+            camera.width,
+            camera.height,
+            self._client.computeViewMatrix(camera.eye, camera.target, camera.up),
+            self._client.computeProjectionMatrixFOV(camera.field_of_view, camera.width / camera.height, 0.1, 5.0),
+            shadow=0,
+            renderer=pybullet.ER_TINY_RENDERER,
+            flags=pybullet.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
+        )
+        shape = (camera.height, camera.width)
+        labels = np.array(labels, dtype=np.int64).reshape(shape)
+        # A label is body + (link + 1) * 2^24; -1 is the background.
+        bottle = (labels >= 0) & (labels & 0xFFFFFF == body) & ((labels >> 24) - 1 == link)
+        rgb = np.array(rgba, dtype=np.uint8).reshape(*shape, 4)[..., :3].copy()
+        return Frame(rgb, bottle, camera.project(position))
