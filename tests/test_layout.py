@@ -1,0 +1,141 @@
+"""The package follows the plan of the house (`house.py`), and what checks that would find every departure from it."""
+
+import pytest
+from house import ORDER, ROOT, House, c_faults, package_sources
+
+# What is still to be mended. The list must be exact: take a line out when its fault is gone, and add none.
+KNOWN = {
+    "circle of C files: kpirl_mpc, kpirl_mpc_memory",
+    "circle of C files: kpirl_mpc_filter, kpirl_mpc_riccati",
+    "circle of modules: ocp.conditions.stage_points, ocp.problem.dynamics, ocp.problem.ocp, "
+    "ocp.problem.trajectory_passes",
+    "circle of modules: ocp.export.exported_solver, ocp.export.folder, ocp.export.resident, ocp.export.riccati, "
+    "ocp.export.targets, ocp.sensitivity.factorisation, ocp.sensitivity.implicit_function, "
+    "ocp.sensitivity.kkt_system, ocp.solvers.riccati",
+    "circle of rooms: ocp.conditions, ocp.linear, ocp.problem",
+    "circle of rooms: ocp.export, ocp.sensitivity, ocp.solvers",
+    "circle of rooms: perception.data, perception.detector, perception.scene",
+    "irl/comparison.py is in no room",
+    "irl/study.py is in no room",
+    "ocp.linear.kkt_operators -> ocp.conditions.nlp",
+    "ocp.problem.dynamics -> ocp.conditions.stage_points",
+    "ocp.sensitivity.kkt_system -> ocp.export.resident",
+    "ocp.sensitivity.kkt_system imports ocp.export.resident inside a function",
+    "ocp.solvers.riccati -> ocp.export.resident",
+    "ocp.solvers.riccati imports ocp.export.resident inside a function",
+    "ocp/export/c/kpirl_mpc.c has more than 300 lines",
+    "ocp/export/c/kpirl_mpc_newton.c has more than 300 lines",
+    "ocp/interior_point/iterate.py has more than 300 lines",
+    "perception.data.clips -> perception.detector.detector",
+    "perception.scene.plant -> perception.data.video",
+    "perception.scene.plant -> perception.detector.detector",
+    "perception.scene.plant -> perception.detector.keypoints",
+    "perception/checkpoint.py is in no room",
+    "perception/model_files.py is in no room",
+}
+
+
+def test_the_package_follows_the_plan_of_the_house():
+    sources = package_sources()
+    assert {"errors.py", "types.py", "ocp/problem/ocp.py", "irl/hypergradients/implicit.py"} <= sources.keys()
+    found = House(sources).faults() | set(c_faults())
+    assert sorted(found - KNOWN) == []
+    assert sorted(KNOWN - found) == [], "these are mended: take them out of KNOWN"
+
+
+def test_every_room_in_the_order_exists():
+    rooms = [ROOT / part / room for part, lines in ORDER.items() for line in lines for room in line]
+    assert [room for room in rooms if not (room / "__init__.py").is_file()] == []
+
+
+ROOM = '"""A room."""'
+ROOMS = ("ocp/problem", "ocp/linear", "ocp/models", "ocp/solvers", "irl/learning", "perception/detector")
+PACKAGE = {
+    **{f"{name}.py": "" for name in ("__init__", "errors", "types", "episodes", "ocp/linear/kkt")},
+    **{f"{room}/__init__.py": ROOM for room in ("ocp", "irl", "perception", *ROOMS)},
+}
+ALLOWED = {
+    "__init__.py": "from kpirl_ocp.irl.learning.learn import learn\nfrom .ocp.linear import kkt",
+    "types.py": "from kpirl_ocp.errors import ProblemError\nfrom . import errors\nimport numpy as np",
+    "episodes.py": "from kpirl_ocp import types, errors\nimport kpirl_ocp.types",
+    "ocp/linear/kkt.py": "from kpirl_ocp.ocp.problem.ocp import OCP\nfrom ...types import Array\nfrom . import sweeps",
+    "ocp/linear/sweeps.py": "def f():\n    import onnx",
+    "ocp/problem/ocp.py": "import importlib.util\nspec = importlib.util.find_spec('pybullet_data')",
+    "ocp/solvers/ipopt.py": "from kpirl_ocp.ocp.linear.kkt import x\nfrom kpirl_ocp.ocp import problem",
+    "irl/learning/learn.py": "from kpirl_ocp.ocp.linear import kkt\nfrom . import loss\nfrom kpirl_ocp import episodes",
+    "perception/detector/nets.py": "import torch, cv2\nfrom kpirl_ocp.episodes import E\nfrom . import camera",
+}
+KKT, LEARN, NETS = "ocp/linear/kkt.py", "irl/learning/learn.py", "perception/detector/nets.py"
+FORBIDDEN = {  # file, its source, what is reported
+    "errors import types": ("errors.py", "from kpirl_ocp.types import Array", "errors -> types.Array"),
+    "errors import the package": ("errors.py", "import kpirl_ocp", "errors -> kpirl_ocp"),
+    "types import ocp": ("types.py", "import kpirl_ocp.ocp.linear", "types -> ocp.linear"),
+    "types import another base module": ("types.py", "from . import episodes", "types -> episodes"),
+    "base imports irl, relatively": ("episodes.py", "from .irl import loss", "episodes -> irl.loss"),
+    "base imports perception": ("episodes.py", "from kpirl_ocp import perception", "episodes -> perception"),
+    "base imports torch": ("episodes.py", "if TYPE_CHECKING:\n    import torch", "episodes -> torch"),
+    "ocp imports irl": (KKT, "from kpirl_ocp.irl import loss", "ocp.linear.kkt -> irl.loss"),
+    "ocp imports irl, three levels up": (KKT, "from ...irl.loss import loss", "ocp.linear.kkt -> irl.loss.loss"),
+    "ocp package imports perception": ("ocp/__init__.py", f"{ROOM}\nfrom .. import perception", "ocp -> perception"),
+    "ocp imports public names": (KKT, "from kpirl_ocp import OCP", "ocp.linear.kkt -> OCP"),
+    "ocp imports torch in a function": (KKT, "def f():\n    import torch.nn", "ocp.linear.kkt -> torch.nn"),
+    "ocp imports cv2 by name": (KKT, "importlib.import_module('cv2')", "ocp.linear.kkt -> cv2"),
+    "irl imports pybullet": (LEARN, "try:\n    import pybullet\nexcept E: ...", "irl.learning.learn -> pybullet"),
+    "irl imports pybullet_data": (LEARN, "__import__('pybullet_data')", "irl.learning.learn -> pybullet_data"),
+    "irl imports perception": (LEARN, "import kpirl_ocp.perception.x", "irl.learning.learn -> perception.x"),
+    "perception imports ocp": (NETS, "import kpirl_ocp.ocp", "perception.detector.nets -> ocp"),
+    "the package imports torch": ("__init__.py", "import torch", "kpirl_ocp -> torch"),
+    "irl imports scripts": (LEARN, "from scripts import study", "irl.learning.learn -> scripts.study"),
+    "a room imports a later one": (
+        KKT,
+        "if TYPE_CHECKING:\n    from kpirl_ocp.ocp.solvers.fatrop import x",
+        "ocp.linear.kkt -> ocp.solvers",
+    ),
+    "a room imports its neighbour": (KKT, "from kpirl_ocp.ocp.models.mlp import MLP", "ocp.linear.kkt -> ocp.models"),
+    "own module in a function": (
+        "ocp/solvers/ipopt.py",
+        "def f():\n    from kpirl_ocp.ocp.linear import kkt",
+        "ocp.solvers.ipopt imports ocp.linear.kkt inside a function",
+    ),
+    "private names": (
+        "ocp/solvers/ipopt.py",
+        "from kpirl_ocp.ocp.linear.kkt import _x",
+        "ocp.solvers.ipopt imports the private ocp.linear.kkt._x",
+    ),
+    "a circle": (
+        "ocp/linear/sweeps.py",
+        "from kpirl_ocp.ocp.linear import kkt",
+        "circle of modules: ocp.linear.kkt, ocp.linear.sweeps",
+    ),
+    "a long file": (KKT, "\n" * 301, "ocp/linear/kkt.py has more than 300 lines"),
+    "a file outside the rooms": ("irl/study.py", "", "irl/study.py is in no room"),
+    "a room without a sentence": (
+        "ocp/solvers/__init__.py",
+        '"""Solvers"""',
+        "ocp/solvers/__init__.py does not say in a sentence what the room is",
+    ),
+    "a room without a place": ("irl/attic/__init__.py", ROOM, "irl/attic has no place in the order of rooms"),
+}
+
+
+def test_the_checker_accepts_what_is_allowed():
+    assert House(PACKAGE | ALLOWED).faults() == set()
+
+
+@pytest.mark.parametrize("case", FORBIDDEN)
+def test_the_checker_reports(case):
+    path, source, fault = FORBIDDEN[case]
+    faults = House(PACKAGE | ALLOWED | {path: source}).faults()
+    assert fault in faults
+    assert all(other.startswith("circle") for other in faults - {fault})  # which the wrong import may close
+
+
+def test_the_checker_reports_a_circle_of_rooms():
+    upward = {"ocp/problem/ocp.py": "from kpirl_ocp.ocp.linear import kkt"}
+    faults = House(PACKAGE | ALLOWED | upward).faults()
+    assert any(fault.startswith("circle of rooms") for fault in faults)
+
+
+def test_the_checker_reports_a_crowded_room():
+    crowd = {f"ocp/solvers/solver_{i}.py": "" for i in range(12)}
+    assert House(PACKAGE | ALLOWED | crowd).faults() == {"ocp/solvers has more than 12 files"}
