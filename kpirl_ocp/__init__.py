@@ -9,6 +9,7 @@ State a problem with `OCP`, solve it with a solver, differentiate through it wit
 from kpirl_ocp.irl.hypergradients.finite_difference import FiniteDifference
 from kpirl_ocp.irl.hypergradients.implicit import Implicit
 from kpirl_ocp.irl.hypergradients.unrolled import Truncated, Unrolled
+from kpirl_ocp.irl.identifiability.identify import identify
 from kpirl_ocp.irl.learning.apprenticeship import apprenticeship
 from kpirl_ocp.irl.learning.evaluation import evaluate
 from kpirl_ocp.irl.learning.learn import learn
@@ -57,6 +58,7 @@ __all__ = [
     "Weighted",
     "apprenticeship",
     "evaluate",
+    "identify",
     "keypoint_ocp",
     "keypoint_state",
     "learn",

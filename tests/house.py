@@ -30,7 +30,7 @@ ORDER = {
     ],
     "irl": [
         ("hypergradients", "cases"),
-        ("learning",),
+        ("learning", "identifiability"),
         ("visual",),
     ],
     "perception": [

@@ -1,0 +1,183 @@
+"""Which parameters of a cost the demonstrations determine, and how well.
+
+Near the minimum of the IRL loss, demonstrations z_demo = z(psi) + noise of standard deviation sigma determine psi up to
+a normal distribution with the precision
+
+    F / sigma^2,    F = sum over demonstrations of (dz/dpsi)^T (dz/dpsi),
+
+the Gauss-Newton information matrix of the loss (half its Hessian where residuals are small). Its eigenvectors with
+small eigenvalues are directions of psi that hardly change the plan: learning leaves them where they started. Which
+eigenvalue is small depends on the units of psi, so directions are compared in units of `spread`, the size of the
+region in which each parameter was before learning: a direction is known when the data confine psi to less than that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.irl.hypergradients.certificate import Hypergradient, seen
+from kpirl_ocp.irl.identifiability.plan_jacobian import CONVERGED, plan_jacobian
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.types import Array, Demonstration, Mask
+
+_RANK = 1e-12  # eigenvalues below this share of the largest are rounding
+_OUTSIDE = 1e-6  # a combination with this share of its length among unknown directions is unknown
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What the demonstrations say about psi.
+
+    psi: (n_psi,) where the loss was linearised. information: F (n_psi, n_psi).
+    spread: (n_psi,) the standard deviation of psi before learning, and the unit in which directions are compared.
+    noise: sigma, in the unit of the observations. freedom: degrees of freedom of its estimate; infinite if it is given.
+    decrement: length of the Gauss-Newton step to the minimum of the loss, in standard deviations; intervals are about
+        the minimum, so they mean little where this is large.
+    uncertified: number of plans whose derivative was only flagged.
+    """
+
+    psi: Array
+    information: Array
+    spread: Array
+    noise: float
+    freedom: float
+    decrement: float
+    uncertified: int
+
+    @cached_property
+    def _spectrum(self) -> tuple[Array, Array]:
+        values, vectors = np.linalg.eigh(self.spread[:, None] * self.information * self.spread)
+        return np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+
+    @property
+    def eigenvalues(self) -> Array:
+        """(n_psi,) of the information in units of the spread, largest first."""
+        return self._spectrum[0]
+
+    @property
+    def directions(self) -> Array:
+        """(n_psi, n_psi): column k is the k-th direction, in units of the spread."""
+        return self._spectrum[1]
+
+    @property
+    def deviations(self) -> Array:
+        """(n_psi,) standard deviation along each direction, from the data alone, in units of the spread."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self._resolved, self.noise / np.sqrt(self.eigenvalues), np.inf)
+
+    def known(self, noise: float | None = None) -> int:
+        """Number of directions that the data confine to less than the spread, at this noise (default: `self.noise`)."""
+        sigma = self.noise if noise is None else noise
+        return int((self._resolved & (self.eigenvalues > sigma**2)).sum())
+
+    @property
+    def posterior(self) -> Array:
+        """Covariance (n_psi, n_psi) of psi, from the data and the spread: (F / sigma^2 + diag(1 / spread^2))^-1."""
+        scaled = self.directions * self.spread[:, None]
+        shrink = self.noise**2 / (self.eigenvalues + self.noise**2) if self.noise > 0 else 1.0 * ~self._resolved
+        return (scaled * shrink) @ scaled.T
+
+    @property
+    def determined(self) -> Mask:
+        """(n_psi,) True for parameters whose standard deviation the data brought below half of the spread."""
+        return np.sqrt(np.diag(self.posterior)) < 0.5 * self.spread
+
+    def intervals(self, level: float = 0.9, combinations: ArrayLike | None = None) -> Array:
+        """Confidence intervals (m, 2) of linear combinations of psi, from the data alone.
+
+        combinations: (m, n_psi), one per row; by default psi itself. Infinite where the data do not determine them.
+        """
+        rows = np.eye(len(self.psi)) if combinations is None else np.atleast_2d(np.asarray(combinations, float))
+        if rows.shape[1] != len(self.psi) or not 0 < level < 1:
+            raise ProblemError(
+                f"combinations must be (m, {len(self.psi)}) and 0 < level < 1; got {rows.shape}, {level}."
+            )
+        parts = rows @ (self.directions * self.spread[:, None])  # (m, directions)
+        sizes = np.linalg.norm(parts, axis=1)
+        outside = np.linalg.norm(parts[:, ~self._resolved], axis=1) > _OUTSIDE * sizes
+        spread = np.linalg.norm(parts[:, self._resolved] * self.deviations[self._resolved], axis=1)
+        reach = stats.t.ppf(0.5 + level / 2, self.freedom) * np.where(outside, np.inf, spread)
+        return (rows @ self.psi)[:, None] + reach[:, None] * [-1.0, 1.0]
+
+    @property
+    def _resolved(self) -> Mask:
+        return self.eigenvalues > _RANK * self.eigenvalues[0]
+
+
+def identify(
+    problem: OCP,
+    demonstrations: Sequence[Demonstration],
+    psi: ArrayLike,
+    spread: ArrayLike = 1.0,
+    noise: float | None = None,
+    method: Hypergradient = CONVERGED,
+) -> Identification:
+    """What the demonstrations determine of a learned psi (n_psi,).
+
+    spread: a number or (n_psi,); see `Identification`. `gains.stiffness` gives one that makes axes comparable.
+    noise: standard deviation of the observations; by default from the residuals, which counts misfit as noise.
+    method: how the plan depends on psi: `Implicit` for the converged problem, `Unrolled` for gradient steps.
+
+    Raises:
+        CertificateError: a plan has no certified derivative, under the policy "raise".
+        ProblemError: no demonstrations, a spread or noise that is not positive, or too few observations to estimate
+            the noise from.
+    """
+    psi = np.asarray(psi, float).ravel()
+    if not demonstrations:
+        raise ProblemError("identify needs at least one demonstration.")
+    units = np.array(np.broadcast_to(np.asarray(spread, float), psi.shape))
+    if not (np.isfinite(units) & (units > 0)).all() or not (noise is None or 0 < noise < np.inf):
+        raise ProblemError(f"spread and noise must be positive and finite, got {spread!r} and {noise!r}.")
+    plans = [plan_jacobian(problem, demonstration, psi, method) for demonstration in demonstrations]
+    pairs = zip(plans, demonstrations, strict=True)
+    residuals = np.concatenate([seen(problem, demo).T[1:].ravel() - plan.observations for plan, demo in pairs])
+    jacobian = np.vstack([plan.jacobian for plan in plans])
+    information = jacobian.T @ jacobian
+    eigenvalues = np.linalg.eigvalsh(units[:, None] * information * units)
+    sigma, freedom = (noise, np.inf) if noise is not None else estimate_noise(residuals, eigenvalues)
+    return Identification(
+        psi=psi,
+        information=information,
+        spread=units,
+        noise=sigma,
+        freedom=freedom,
+        decrement=_decrement(jacobian * units, residuals, sigma),
+        uncertified=sum(not plan.certified for plan in plans),
+    )
+
+
+def estimate_noise(residuals: Array, eigenvalues: Array) -> tuple[float, float]:
+    """sigma and its degrees of freedom n - gamma, with gamma = sum lambda / (lambda + sigma^2) parameters in use.
+
+    The effective number of parameters of MacKay (Bayesian Interpolation, 1992, section 4.4); a fixed point.
+    """
+    squares, largest = float(residuals @ residuals), eigenvalues.max(initial=0.0)
+    found = eigenvalues[eigenvalues > _RANK * largest]
+    variance = squares / len(residuals)
+    for _ in range(100):
+        freedom = len(residuals) - float((found / (found + variance)).sum())
+        if freedom < 1:
+            break
+        variance = squares / freedom
+    if freedom < 1:
+        raise ProblemError(
+            f"{len(residuals)} observations determine as many parameters and say nothing about their noise: "
+            "pass noise=, or more demonstrations."
+        )
+    return float(np.sqrt(variance)), freedom
+
+
+def _decrement(jacobian: Array, residuals: Array, noise: float) -> float:
+    """|J (J^T J + sigma^2)^-1/2 J^T r| in the metric of the posterior, over sigma; J in units of the spread."""
+    left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
+    share = singular**2 / (singular**2 + noise**2) if noise > 0 else 1.0 * (singular > 0)
+    length = np.linalg.norm(np.sqrt(share) * (left.T @ residuals))
+    return float(length / noise) if noise > 0 else (np.inf if length > 0 else 0.0)

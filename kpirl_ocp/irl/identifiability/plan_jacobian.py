@@ -1,0 +1,107 @@
+"""The derivative of planned observations with respect to psi, dz_t/dpsi, along one demonstration.
+
+Of the converged problem it comes from the implicit function theorem, column by column. Of N gradient steps it comes
+from the gradient of the IRL loss, row by row: L = |z - z_demo|^2 has dL/dpsi = 2 (dz/dpsi)^T (z - z_demo), which is
+row k of dz/dpsi for z_demo = z - e_k / 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
+from kpirl_ocp.irl.hypergradients.implicit import Implicit
+from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.sensitivity.implicit_function import Response
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance
+from kpirl_ocp.types import Array, Demonstration, Trajectory
+
+CONVERGED = Implicit()  # how the plan depends on psi, unless said otherwise
+_TOGETHER = 10  # rows that one call of the unrolled gradient computes
+
+
+class PlanJacobian(NamedTuple):
+    """One plan and its derivative by psi.
+
+    trajectory: the plan. observations: z_1 .. z_T (T n_z,). jacobian: (T n_z, n_psi); z_0 does not depend on psi.
+    certified: False if the hypergradient's policy is "flag" and it had something to flag.
+    """
+
+    trajectory: Trajectory
+    observations: Array
+    jacobian: Array
+    certified: bool
+
+
+def plan_jacobian(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method: Hypergradient) -> PlanJacobian:
+    """Plan from the start of a demonstration with psi (n_psi,), and differentiate the observations.
+
+    method: `Implicit` for the converged problem, `Unrolled` for a number of gradient steps; its loss does not matter.
+
+    Raises:
+        CertificateError: under the policy "raise", when the plan has no certified derivative.
+        ProblemError: another method, or shapes that do not fit.
+    """
+    if isinstance(method, Implicit):
+        return _converged(problem, demonstration, psi, method)
+    if isinstance(method, Unrolled):
+        return _unrolled(problem, demonstration, psi, method)
+    raise ProblemError(f"the plan's derivative needs Implicit(...) or Unrolled(...), not {type(method).__name__}.")
+
+
+def _converged(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method: Implicit) -> PlanJacobian:
+    certificate = method(problem, demonstration, psi).certificate
+    solution = certificate.solution
+    s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
+    response = Response.at(Instance(problem, s0, psi, context, solution.barrier), solution)
+    directions = np.eye(len(psi))
+    pushed = [response.push(direction, np.zeros_like(s0), np.zeros_like(context)) for direction in directions]
+    slopes = observation_jacobians(problem, solution.states)  # (T, n_z, n_s)
+    columns = [np.einsum("tzs,ts->tz", slopes, change.states[1:]).ravel() for change in pushed]
+    jacobian = np.reshape(columns, (len(psi), -1)).T
+    return PlanJacobian(solution.trajectory, observed(problem, solution.states), jacobian, certificate.certified)
+
+
+def _unrolled(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method: Unrolled) -> PlanJacobian:
+    unrolled = replace(method, loss=Unrolled(method.solver).loss)
+    certificate = unrolled(problem, demonstration, psi).certificate
+    states = certificate.solution.states
+    planned = np.array(problem.observe(states.T)).T  # (T+1, n_z)
+    size = planned[1:].size
+    shifts = np.zeros((-(-size // _TOGETHER) * _TOGETHER, *planned.shape))
+    shifts[:size, 1:] = 0.5 * np.eye(size).reshape(size, *planned[1:].shape)
+    demonstrations = [replace(demonstration, observations=planned - shift) for shift in shifts]
+    rows = [
+        result.gradient
+        for first in range(0, len(shifts), _TOGETHER)
+        for result in unrolled.together(problem, demonstrations[first : first + _TOGETHER], psi)
+    ]
+    jacobian = np.reshape(rows[:size], (size, problem.n_parameters))
+    return PlanJacobian(certificate.solution.trajectory, planned[1:].ravel(), jacobian, certificate.certified)
+
+
+def observed(problem: OCP, states: Array) -> Array:
+    """z_1 .. z_T (T n_z,) of states (T+1, n_s)."""
+    return np.array(problem.observe(states.T)).T[1:].ravel()
+
+
+def observation_jacobians(problem: OCP, states: Array) -> Array:
+    """dz_t/ds_t (T, n_z, n_s), t = 1 .. T."""
+    slopes = np.array(_observation_slope(problem).map(problem.horizon)(states[1:].T))
+    return slopes.T.reshape(problem.horizon, problem.n_states, problem.n_observations).transpose(0, 2, 1)
+
+
+@lru_cache(maxsize=64)
+def _observation_slope(problem: OCP) -> ca.Function:
+    """s -> dz/ds (n_z, n_s)."""
+    state = ca.MX.sym("s", problem.n_states)
+    seen = state if problem.observation is None else problem.observation(state)
+    return ca.Function("slope", [state], [ca.densify(ca.jacobian(seen, state))])

@@ -1,0 +1,226 @@
+"""What demonstrations say about psi: closed forms, the derivative of the plan, coverage, and the next demonstration."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from kpirl_ocp import OCP, Demonstration, FiniteDifference, GradientDescent, Implicit, Riccati, Unrolled
+from kpirl_ocp.errors import CertificateError, ProblemError
+from kpirl_ocp.irl.cases.examples import CASES, descent, free
+from kpirl_ocp.irl.identifiability.design import expected_information
+from kpirl_ocp.irl.identifiability.gains import squared_gains, stiffness
+from kpirl_ocp.irl.identifiability.identify import estimate_noise, identify
+from kpirl_ocp.irl.identifiability.plan_jacobian import plan_jacobian
+
+Q, R, START, GOAL = 2.0, 0.5, 1.0, 4.0
+
+
+def one_step(idle=False):
+    """min q (s_0 + u - goal)^2 + r u^2, seen once: s_1 = s_0 + q (goal - s_0) / (q + r); idle: a third, idle weight."""
+    s, u, goal, psi = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("goal"), ca.SX.sym("psi", 2 + idle)
+    return OCP.from_expressions(
+        state=s,
+        action=u,
+        parameters=psi,
+        context=goal,
+        dynamics=s + u,
+        stage_cost=psi[1] * u**2,
+        terminal_cost=psi[0] * (s - goal) ** 2,
+        horizon=1,
+    )
+
+
+def planned(start=START, goal=GOAL):
+    end = start + Q * (goal - start) / (Q + R)
+    return Demonstration([start], [goal], [[start], [end]])
+
+
+def slope(start=START, goal=GOAL):
+    return np.array([[R, -Q]]) * (goal - start) / (Q + R) ** 2
+
+
+def test_the_derivative_of_one_step_is_its_closed_form():
+    found = plan_jacobian(one_step(), planned(), [Q, R], Implicit())
+    np.testing.assert_allclose(found.jacobian, slope(), rtol=1e-9)
+    np.testing.assert_allclose(found.observations, planned().observations[1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["lqr", "integrator", "pendulum", "iiwa"])
+def test_the_derivative_of_the_converged_plan_is_that_of_finite_differences(name):
+    case = CASES[name]()
+    found = plan_jacobian(case.problem, case.demonstration, case.psi, Implicit(Riccati(tolerance=1e-11)))
+    for k, direction in enumerate(np.eye(len(case.psi))):
+        ends = [
+            Riccati(tolerance=1e-11).solve(
+                case.problem, case.demonstration.s0, case.psi + h * direction, case.demonstration.context
+            )
+            for h in (1e-5, -1e-5)
+        ]
+        seen = [np.array(case.problem.observe(end.states.T)).T[1:].ravel() for end in ends]
+        error = np.abs((seen[0] - seen[1]) / 2e-5 - found.jacobian[:, k])
+        assert error.max() < 1e-6 * max(1.0, np.abs(found.jacobian).max())
+
+
+@pytest.mark.parametrize("name", ["lqr", "pendulum", "iiwa"])
+def test_the_derivative_of_gradient_steps_is_that_of_finite_differences(name):
+    case = free(CASES[name]())
+    solver = descent(case, 3)
+    found = plan_jacobian(case.problem, case.demonstration, case.psi, Unrolled(solver))
+    for k, direction in enumerate(np.eye(len(case.psi))):
+        ends = [
+            solver.solve(case.problem, case.demonstration.s0, case.psi + h * direction, case.demonstration.context)
+            for h in (1e-6, -1e-6)
+        ]
+        seen = [np.array(case.problem.observe(end.states.T)).T[1:].ravel() for end in ends]
+        error = np.abs((seen[0] - seen[1]) / 2e-6 - found.jacobian[:, k])
+        assert error.max() < 1e-7 * max(1.0, np.abs(found.jacobian).max())
+
+
+def test_both_derivatives_agree_once_the_gradient_steps_have_converged():
+    case = free(CASES["iiwa"]())
+    steps = plan_jacobian(case.problem, case.demonstration, case.psi, Unrolled(descent(case)))
+    converged = plan_jacobian(case.problem, case.demonstration, case.psi, Implicit())
+    np.testing.assert_allclose(steps.jacobian, converged.jacobian, atol=1e-8)
+
+
+def test_two_weights_of_one_step_are_known_up_to_their_common_scale_alone():
+    found = identify(one_step(), [planned()], [Q, R], noise=0.01)
+    assert found.known() == 1
+    np.testing.assert_allclose(found.information, slope().T @ slope(), rtol=1e-8)
+    np.testing.assert_allclose(np.abs(found.directions[:, 1]), np.array([Q, R]) / np.hypot(Q, R), rtol=1e-6)
+    np.testing.assert_allclose(found.deviations[0], 0.01 / np.linalg.norm(slope()), rtol=1e-8)
+    assert np.isinf(found.deviations[1])
+    assert np.isinf(found.intervals()).all()
+    across = found.intervals(0.9, [[R, -Q]])  # what the data do determine
+    np.testing.assert_allclose(across, [[-1.645 * 0.01 * (Q + R) ** 2 / 3, 1.645 * 0.01 * (Q + R) ** 2 / 3]], rtol=1e-3)
+
+
+def test_fewer_directions_are_known_with_more_noise_and_none_beyond_the_spread():
+    case = CASES["pendulum"]()
+    found = identify(case.problem, [case.demonstration], case.psi, noise=1e-3)
+    counts = [found.known(noise) for noise in np.logspace(-6, 3, 19)]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] == 2
+    assert counts[-1] == 0
+
+
+def test_a_weight_that_moves_nothing_is_not_determined_and_keeps_its_spread():
+    found = identify(one_step(idle=True), [planned()], [Q, R, 7.0], spread=[0.1, 5.0, 3.0], noise=1e-3)
+    assert not found.determined[2]
+    np.testing.assert_allclose(found.posterior[2], [0, 0, 9.0], atol=1e-9)
+    np.testing.assert_array_equal(found.intervals()[2], [-np.inf, np.inf])
+
+
+def test_the_posterior_is_the_inverse_of_information_and_prior():
+    case, spread = CASES["iiwa"](), np.linspace(0.5, 2.0, 10)
+    found = identify(case.problem, [case.demonstration], case.psi, spread, noise=0.02)
+    expected = np.linalg.inv(found.information / 0.02**2 + np.diag(1 / spread**2))
+    np.testing.assert_allclose(found.posterior, expected, rtol=1e-7, atol=1e-12)
+
+
+def test_units_of_psi_do_not_change_how_many_directions_are_known():
+    case, units = free(CASES["iiwa"]()), np.array([1e3, 1, 1, 1e-3, 1, 1, 1, 1, 1, 1.0])
+    found = identify(case.problem, [case.demonstration], case.psi, units, noise=1e-3)
+    jacobian = plan_jacobian(case.problem, case.demonstration, case.psi, Implicit()).jacobian * units
+    np.testing.assert_allclose(found.eigenvalues, np.linalg.svd(jacobian)[1] ** 2, rtol=1e-6, atol=1e-9)
+
+
+def test_noise_is_estimated_without_bias():
+    rng, jacobian = np.random.default_rng(0), np.random.default_rng(1).normal(size=(30, 4)) * [100, 100, 100, 1e-9]
+    left = np.eye(30) - jacobian[:, :3] @ np.linalg.pinv(jacobian[:, :3])
+    eigenvalues = np.linalg.eigvalsh(jacobian.T @ jacobian)
+    found = [estimate_noise(left @ rng.normal(scale=0.3, size=30), eigenvalues) for _ in range(500)]
+    assert abs(np.mean([sigma**2 for sigma, _ in found]) / 0.09 - 1) < 3 * np.sqrt(2 / 27 / 500)
+    np.testing.assert_allclose([freedom for _, freedom in found], 27, atol=1e-2)
+
+
+def learn(problem, demonstration, psi0):
+    """psi with the least IRL loss."""
+    seen = demonstration.observations[1:].ravel()
+    return least_squares(
+        lambda psi: plan_jacobian(problem, demonstration, psi, Implicit()).observations - seen,
+        psi0,
+        lambda psi: plan_jacobian(problem, demonstration, psi, Implicit()).jacobian,
+        xtol=1e-10,
+    ).x
+
+
+def test_ninety_per_cent_intervals_cover_nine_in_ten_true_values():
+    problem = regulator()
+    truth, rng, covered = np.array([0.7, 2.1]), np.random.default_rng(3), []
+    plan = Riccati().solve(problem, [2.0], truth, ()).states
+    for _ in range(60):
+        observations = plan + np.vstack([np.zeros((1, 1)), rng.normal(scale=0.01, size=(problem.horizon, 1))])
+        demonstration = Demonstration([2.0], [], observations)
+
+        learned = learn(problem, demonstration, truth)
+        intervals = identify(problem, [demonstration], learned).intervals(0.9)
+        covered.append((intervals[:, 0] <= truth) & (truth <= intervals[:, 1]))
+    assert 0.8 <= np.mean(covered) <= 0.98
+
+
+def regulator():
+    """A scalar LQR with weights on effort and on the end; that of the states is one, so that both are determined."""
+    s, u, psi = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("psi", 2)
+    return OCP.from_expressions(
+        state=s,
+        action=u,
+        parameters=psi,
+        dynamics=0.9 * s + 0.5 * u,
+        stage_cost=s**2 + psi[0] * u**2,
+        terminal_cost=psi[1] * s**2,
+        horizon=6,
+    )
+
+
+def test_the_decrement_tells_how_far_psi_is_from_the_minimum_in_standard_deviations():
+    problem = regulator()
+    truth = np.array([0.7, 2.1])
+    demonstration = Demonstration([2.0], [], Riccati().solve(problem, [2.0], truth, ()).states)
+    at = identify(problem, [demonstration], truth, spread=10.0, noise=1e-4)
+    assert at.decrement < 1e-3
+    step = 2 * at.deviations[0] * at.directions[:, 0] * 10.0
+    away = identify(problem, [demonstration], truth + step, spread=10.0, noise=1e-4)
+    np.testing.assert_allclose(away.decrement, 2.0, rtol=1e-2)
+
+
+def test_expected_information_is_the_growth_of_the_log_determinant():
+    candidates = [planned(0.0, 1.0), planned(0.0, 6.0), planned(2.0, 2.0)]
+    found = identify(one_step(), [planned()], [Q, R], spread=2.0, noise=0.1)
+    expected = []
+    for candidate in candidates:
+        J = plan_jacobian(one_step(), candidate, [Q, R], Implicit()).jacobian
+        before = np.linalg.inv(found.posterior)
+        expected.append(0.5 * (np.linalg.slogdet(before + J.T @ J / 0.01)[1] - np.linalg.slogdet(before)[1]))
+    gains = expected_information(one_step(), found, candidates)
+    np.testing.assert_allclose(gains, expected, rtol=1e-6, atol=1e-9)
+    assert gains.argmax() == 1  # the longest way
+    assert gains[2] < 1e-9  # at the goal already: nothing to see
+
+
+def test_squared_gains_of_an_integrator_count_the_actions_so_far():
+    s, u = ca.SX.sym("s", 2), ca.SX.sym("u", 2)
+    problem = OCP.from_expressions(
+        state=s, action=u, dynamics=s + ca.vertcat(u[0], 3 * u[1]), stage_cost=ca.sumsqr(u), horizon=4
+    )
+    gains = squared_gains(problem, problem.simulate([0, 0], np.zeros((4, 2))), np.zeros(0))
+    np.testing.assert_allclose(gains, [[1, 9], [2, 18], [3, 27], [4, 36]])
+    np.testing.assert_allclose(stiffness(np.ones((4, 1)), gains), [20, 180])
+    np.testing.assert_allclose(stiffness(np.eye(4), gains, 0.5 * np.ones((4, 2))), gains.ravel())
+
+
+def test_what_cannot_be_identified_is_said():
+    problem = one_step()
+    with pytest.raises(ProblemError, match="at least one demonstration"):
+        identify(problem, [], [Q, R])
+    with pytest.raises(ProblemError, match="must be positive"):
+        identify(problem, [planned()], [Q, R], spread=[1.0, 0.0])
+    with pytest.raises(ProblemError, match="say nothing about their noise"):
+        identify(problem, [planned()], [Q, R])
+    with pytest.raises(ProblemError, match=r"Implicit\(\.\.\.\) or Unrolled"):
+        identify(problem, [planned()], [Q, R], method=FiniteDifference())
+    with pytest.raises(ProblemError, match="level"):
+        identify(problem, [planned()], [Q, R], noise=1.0).intervals(1.5)
+    with pytest.raises(CertificateError):
+        identify(problem, [planned()], [Q, R], noise=1.0, method=Implicit(GradientDescent(1, 0.1)))
