@@ -18,7 +18,8 @@ from kpirl_ocp.episodes import KeypointTrack
 from kpirl_ocp.irl.visual.closed_loop import Controller, Execution
 from kpirl_ocp.irl.visual.demonstrations import positions
 from kpirl_ocp.irl.visual.learning import COSTS, InnerLoop, LearnedPlan, learn_unrolled
-from kpirl_ocp.perception.data.video import Frames, every, write_video
+from kpirl_ocp.perception.data.encoding import write_video
+from kpirl_ocp.perception.data.video import Frames, every
 from kpirl_ocp.perception.detector.track_images import with_tracks
 from kpirl_ocp.perception.scene.hand import RATE as FILM_RATE
 from kpirl_ocp.perception.scene.hand import HandScene, placing_path
@@ -106,7 +107,7 @@ def main() -> None:
     for path in draw(learned, clip, setup, done, robot, out):
         print(f"figure:  {path}")
     both = [with_tracks(images, clip.track.keypoints), with_tracks(robot, done.keypoints)]
-    video = write_video(out / "placing.mp4", np.concatenate(both, axis=2), FRAME_RATE, codec="mp4v")
+    video = write_video(out / "placing.mp4", np.concatenate(both, axis=2), FRAME_RATE, codec="h264")
     print(f"video:   {video}")
 
 

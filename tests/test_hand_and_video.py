@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from kpirl_ocp.errors import EpisodeError, ProblemError
-from kpirl_ocp.perception.data.video import read_demonstration, write_video
+from kpirl_ocp.perception.data.encoding import write_video
+from kpirl_ocp.perception.data.video import read_demonstration
 from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path
 
 
@@ -56,7 +57,7 @@ def test_lossless_video_returns_every_sixth_frame_bit_by_bit(tmp_path, film):
 
 
 def test_a_users_mp4_is_read_with_what_its_compression_left(tmp_path, film):
-    path = write_video(tmp_path / "hand.mp4", film, RATE, codec="mp4v")
+    path = write_video(tmp_path / "hand.mp4", film, RATE, codec="h264")
     frames = read_demonstration(path)
     assert frames.shape == (11, 240, 240, 3)
     assert np.abs(frames.astype(int) - film[::6]).mean() < 8

@@ -9,6 +9,8 @@ from tqdm import tqdm
 
 from kpirl_ocp.episodes import ArmTrack, episode_path, iterate_episodes, read_meta
 from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.perception.data.decoding import VIDEO_SUFFIXES
+from kpirl_ocp.perception.data.pictures import natural_order
 from kpirl_ocp.perception.data.recordings import ArmRecording, Recording, read_hand
 from kpirl_ocp.perception.data.video import Frames, read_demonstration
 from kpirl_ocp.perception.detector.detector import KeypointDetector
@@ -29,11 +31,16 @@ def unlabelled(paths: Sequence[str | Path]) -> list[Frames]:
     """Frames at 5 Hz of videos, or of all videos in directories. Raises EpisodeError if a directory has none."""
     clips = []
     for path in map(Path, paths):
-        videos = sorted(path.glob("*.avi")) + sorted(path.glob("*.mp4")) if path.is_dir() else [path]
+        videos = _videos_in(path) if path.is_dir() else [path]
         if not videos:
-            raise EpisodeError(f"{path} holds no .avi or .mp4 video.")
+            raise EpisodeError(f"{path} holds no video ({', '.join(VIDEO_SUFFIXES)}).")
         clips += [read_demonstration(video, rate=_RATE) for video in videos]
     return clips
+
+
+def _videos_in(directory: Path) -> list[Path]:
+    found = [path for path in directory.iterdir() if path.suffix.lower() in VIDEO_SUFFIXES]
+    return sorted(found, key=natural_order)
 
 
 def detect_tracks(detector: KeypointDetector, directory: str | Path) -> list[ArmTrack]:

@@ -18,8 +18,8 @@ import numpy as np
 from kpirl_ocp.episodes import write_episode
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.motion import forward_then_down, minimum_jerk
+from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.recordings import ArmRecording, Truth
-from kpirl_ocp.perception.data.video import write_video
 from kpirl_ocp.perception.scene.bodies import BOTTLE
 from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path, wandering_path
 from kpirl_ocp.perception.scene.posture import UPRIGHT, carry

@@ -1,101 +1,131 @@
-"""Videos: written without loss, read from whatever a user has, and brought to the size and rate of a demonstration."""
+"""Videos and folders of pictures, read by time in memory of the result's size, at the size and rate that is needed."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.perception.data.decoding import decode
+from kpirl_ocp.perception.data.pictures import iterate_pictures
 from kpirl_ocp.types import Indices
 
 Frames = NDArray[np.uint8]  # (n, H, W, 3) RGB
 
-_SUFFIXES = (".mp4", ".avi", ".webm", ".mkv", ".mov")
+_REPEATED = 0.1  # share of the samples that may show the same frame as the one before
+
+T = TypeVar("T")
 
 
-def write_video(path: str | Path, frames: Frames, rate: float, codec: str = "FFV1") -> Path:
-    """Write frames (n, H, W, 3) uint8 RGB at `rate` [Hz]; FFV1 in .avi is lossless, "mp4v" in .mp4 is not.
+def iterate_frames(
+    path: str | Path, *, source_rate: float | None = None, longest: int | None = None, end: float = np.inf
+) -> Iterator[tuple[float, Frames]]:
+    """Time [s] since the first frame and image (H, W, 3) RGB of every frame, one at a time.
 
-    Raises EpisodeError for frames of another kind, or if the file cannot be written.
+    Args:
+        path: a video, or a folder of PNG or JPEG pictures in the order of the numbers in their names.
+        source_rate: [Hz] of a folder of pictures; a video has times of its own.
+        longest: larger frames are scaled down until their longer side has this many pixels.
+        end: [s] of the last frame; what comes later need not be whole.
+
+    Raises:
+        EpisodeError: the file is missing, no video, of an unknown codec or incomplete; the message names it.
     """
-    path, frames = Path(path), np.asarray(frames)
-    if frames.ndim != 4 or frames.shape[3] != 3 or frames.dtype != np.uint8 or not len(frames):
-        raise EpisodeError(f"{path}: frames must be (n, H, W, 3) uint8, got {frames.shape} {frames.dtype}.")
-    part = path.with_name(f".{path.stem}.part{path.suffix}")
-    writer = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*codec), rate, (frames.shape[2], frames.shape[1]))
-    if not writer.isOpened():
-        raise EpisodeError(f"{path} cannot be written with the codec {codec}; does the directory exist?")
-    for frame in frames:
-        writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
-    writer.release()
-    part.replace(path)
-    return path
+    path = Path(path)
+    if path.is_dir() and source_rate is None:
+        raise EpisodeError(f"{path} is a folder of images: say its frame rate with source_rate.")
+    if not path.is_dir() and source_rate is not None:
+        raise EpisodeError(f"{path} is no folder of images; source_rate is for those, a video has times of its own.")
+    frames = decode(path, end) if source_rate is None else _paced(iterate_pictures(path), source_rate)
+    for time, image in frames:
+        if time > end + 1e-6:
+            return
+        yield time, _shrunk(image, longest)
+
+
+def sampled(items: Iterable[tuple[float, T]], rate: float, start: float = 0.0) -> Iterator[tuple[float, T]]:
+    """Of items at rising times [s], the nearest ones to start + k / rate, k = 0, 1, ...; two items in memory."""
+    count = 0
+    before: tuple[float, T] | None = None
+    gap = 0.0
+    for time, item in items:
+        while before is not None and start + count / rate < (before[0] + time) / 2:
+            yield before
+            count += 1
+        gap = 0.0 if before is None else time - before[0]
+        before = time, item
+    while before is not None and start + count / rate < before[0] + max(gap / 2, 1e-9):
+        yield before
+        count += 1
+
+
+def sampled_frames(
+    path: str | Path,
+    rate: float,
+    *,
+    source_rate: float | None = None,
+    longest: int | None = None,
+    start: float = 0.0,
+    end: float = np.inf,
+) -> Iterator[tuple[float, Frames]]:
+    """The frames of `iterate_frames` nearest to start + k / rate, k = 0, 1, ... [s].
+
+    Raises EpisodeError as it does, and if the source has fewer frames per second than `rate`, or ends before `start`.
+    """
+    if not rate > 0:
+        raise EpisodeError(f"{path} cannot be read at {rate:g} frames per second.")
+    times: list[float] = []
+    last, count, repeated = -1.0, 0, 0
+    frames = _noting(iterate_frames(path, source_rate=source_rate, longest=longest, end=end), times)
+    for time, image in sampled(frames, rate, start):
+        count, repeated, last = count + 1, repeated + (time == last), time
+        yield time, image
+    if not count:
+        raise EpisodeError(f"{path} ends after {times[-1]:.2f} s; there is nothing from {start:g} s on.")
+    if repeated > _REPEATED * count:
+        found = (len(times) - 1) / times[-1] if len(times) > 1 else 0.0
+        raise EpisodeError(f"{path} has {found:.4g} frames per second; {rate:g} cannot be taken from it.")
 
 
 def read_demonstration(
     path: str | Path, *, rate: float = 5.0, size: int = 240, source_rate: float | None = None
 ) -> Frames:
-    """Frames (n, size, size, 3) of a video file or a folder of PNGs, at `rate` [Hz], cropped to a square in the middle.
+    """Frames (n, size, size, 3) of a video or a folder of pictures at `rate` [Hz], cropped to a square in the middle.
 
-    source_rate: [Hz] of the source; a video file says it itself, a folder of PNGs must be told.
-
-    Raises EpisodeError, naming the file and the reason.
+    source_rate: [Hz] of a folder of pictures. Raises EpisodeError as `sampled_frames`.
     """
-    path = Path(path)
-    if path.is_dir():
-        if source_rate is None:
-            raise EpisodeError(f"{path} is a folder of images: say its frame rate with source_rate.")
-        frames = _read_images(path)
-    else:
-        frames, recorded = _read_file(path)
-        source_rate = source_rate or recorded
-    if not 0 < rate <= source_rate:
-        raise EpisodeError(f"{path} has {source_rate:g} frames per second; {rate:g} cannot be taken from it.")
-    return np.array([_square(frames[index], size) for index in every(len(frames), source_rate, rate)])
+    return np.array([_square(image, size) for _, image in sampled_frames(path, rate, source_rate=source_rate)])
 
 
 def every(count: int, source_rate: float, rate: float) -> Indices:
     """Which of `count` frames recorded at source_rate [Hz] to take for `rate` [Hz]."""
-    chosen = np.arange(0, count, source_rate / rate).round().astype(int)
-    return chosen[chosen < count]
+    return np.array([index for _, index in sampled(((i / source_rate, i) for i in range(count)), rate)], np.intp)
 
 
-def _read_file(path: Path) -> tuple[list[Frames], float]:
-    if not path.is_file():
-        raise EpisodeError(f"there is no video {path}.")
-    if path.suffix.lower() not in _SUFFIXES:
-        raise EpisodeError(f"{path} is not a video: expected one of {', '.join(_SUFFIXES)}, or a folder of PNGs.")
-    capture = cv2.VideoCapture(str(path))
-    frames, rate = [], capture.get(cv2.CAP_PROP_FPS)
-    while (found := capture.read())[0]:
-        frames.append(_rgb(found[1]))
-    capture.release()
-    if not frames or not rate > 0:
-        raise EpisodeError(f"{path} cannot be decoded as a video; is it complete?")
-    return frames, rate
+def _paced(images: Iterable[Frames], rate: float) -> Iterator[tuple[float, Frames]]:
+    return ((index / rate, image) for index, image in enumerate(images))
 
 
-def _read_images(folder: Path) -> list[Frames]:
-    paths = sorted(folder.glob("*.png"))
-    if not paths:
-        raise EpisodeError(f"the folder {folder} holds no PNG images.")
-    images = []
-    for path in paths:
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if image is None:
-            raise EpisodeError(f"{path} cannot be read as an image.")
-        images.append(_rgb(image))
-    if len({image.shape for image in images}) > 1:
-        raise EpisodeError(f"the images in {folder} differ in size.")
-    return images
+def _noting(items: Iterable[tuple[float, T]], times: list[float]) -> Iterator[tuple[float, T]]:
+    """The items, whose times are noted on the way."""
+    for item in items:
+        times.append(item[0])
+        yield item
 
 
-def _rgb(image: cv2.typing.MatLike) -> Frames:
-    """OpenCV's BGR as RGB."""
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+def _shrunk(image: Frames, longest: int | None) -> Frames:
+    """The image with a longer side of at most `longest` pixels, by area averaging."""
+    height, width = image.shape[:2]
+    if longest is None or max(height, width) <= longest:
+        return image
+    scale = longest / max(height, width)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _square(frame: Frames, size: int) -> Frames:
@@ -105,6 +135,6 @@ def _square(frame: Frames, size: int) -> Frames:
     top, left = (height - side) // 2, (width - side) // 2
     square = frame[top : top + side, left : left + side]
     if side == size:
-        return square
+        return square.copy()
     method = cv2.INTER_AREA if size < side else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(square, (size, size), interpolation=method), np.uint8)

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from kpirl_ocp.figures import COLOURS, save
-from kpirl_ocp.perception.data.video import Frames, write_video
+from kpirl_ocp.perception.data.encoding import write_video
+from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector.keypoints import to_pixels
 from kpirl_ocp.types import Array
 
@@ -46,7 +47,7 @@ def contact_sheet(path: Path, rows: Mapping[str, tuple[Frames, Array]], columns:
 
 def track_video(path: Path, images: Frames, keypoints: Array, rate: float) -> Path:
     """An .mp4 of images (n, S, S, 3), twice as large, with keypoints (n, K, 3) and where they came from."""
-    return write_video(path, with_tracks(images, keypoints), rate, codec="mp4v")
+    return write_video(path, with_tracks(images, keypoints), rate, codec="h264")
 
 
 def with_tracks(images: Frames, keypoints: Array) -> Frames:

@@ -1,0 +1,104 @@
+"""Video files decoded by FFmpeg (PyAV), one frame at a time: upright, with square pixels, at the file's own times."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import av
+import av.error
+import av.logging
+import numpy as np
+from numpy.typing import NDArray
+
+from kpirl_ocp.errors import EpisodeError
+
+VIDEO_SUFFIXES = (
+    *(".mp4", ".m4v", ".mov", ".3gp", ".3g2", ".avi", ".webm", ".mkv", ".mts"),
+    *(".m2ts", ".ts", ".mpg", ".mpeg", ".wmv", ".flv", ".ogv", ".gif"),
+)
+
+
+def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+    """Time [s] since the first frame and image (H, W, 3) RGB of every frame up to the time `end`.
+
+    The rotation that a phone notes in the file is applied. What comes after `end` may be missing or damaged.
+
+    Raises:
+        EpisodeError: the file is missing, no video, of an unknown codec, damaged or incomplete.
+    """
+    if not path.is_file():
+        raise EpisodeError(f"there is no video {path}.")
+    if path.suffix.lower() not in VIDEO_SUFFIXES:
+        raise EpisodeError(
+            f"{path} is not a video: expected one of {', '.join(VIDEO_SUFFIXES)}, or a folder of pictures."
+        )
+    container, stream = _open(path)
+    first: float | None = None
+    time = period = longest = 0.0  # of the last frame, since the one before it, and the longest such pause [s]
+    with container:
+        stream.thread_type = "AUTO"
+        promised = _promised_seconds(container, stream)
+        try:
+            for frame in container.decode(stream):
+                stamp = float(frame.time or 0.0)
+                first = stamp if first is None else first
+                period, time = stamp - first - time, stamp - first
+                longest = max(longest, period)
+                if time > end + 1e-6:
+                    return
+                yield time, _upright(frame, stream)
+        except av.error.FFmpegError as error:
+            raise EpisodeError(
+                f"{path} is damaged or incomplete after {time:.2f} of {promised:.2f} s: copy it again, or end before."
+            ) from error
+    if first is None:
+        raise EpisodeError(f"{path} cannot be decoded as a video; is it complete?")
+    missing = promised - (time + period)
+    if missing > max(2 * longest, min(0.25, 0.1 * promised)) and time + period < end:
+        raise EpisodeError(
+            f"{path} is incomplete: it ends after {time + period:.2f} of {promised:.2f} s. "
+            "Copy it again, or end before."
+        )
+
+
+def _open(path: Path) -> tuple[av.container.InputContainer, av.VideoStream]:
+    """The file and its first video stream. Raises EpisodeError if there is none that can be decoded."""
+    level = av.logging.get_level()
+    with av.logging.Capture() as log:
+        av.logging.set_level(av.logging.WARNING)
+        try:
+            container = av.open(str(path))
+        except av.error.FFmpegError as error:
+            raise EpisodeError(f"{path} cannot be decoded as a video; is it complete? ({error.strerror})") from error
+        finally:
+            av.logging.set_level(level)
+    streams = container.streams.video
+    if not streams:
+        raise EpisodeError(f"{path} holds no video, only sound or subtitles.")
+    if streams[0].codec_context is None:
+        found = re.search(r"Video: (\S+)(?: \((\S+))?", " ".join(text for _, _, text in log))
+        codec = next((name for name in reversed(found.groups()) if name), "?") if found else "?"
+        raise EpisodeError(
+            f"{path}: its codec {codec!r} cannot be decoded here. Convert it with\n"
+            f"    ffmpeg -i {path.name} -c:v libx264 -pix_fmt yuv420p {path.stem}-h264.mp4"
+        )
+    return container, streams[0]
+
+
+def _promised_seconds(container: av.container.InputContainer, stream: av.VideoStream) -> float:
+    """How long the file says it is [s]; 0 if it does not say."""
+    counted = stream.frames / stream.average_rate if stream.average_rate else 0
+    timed = stream.duration * stream.time_base if stream.duration and stream.time_base else 0
+    alone = len(container.streams.get()) == 1  # sound may be longer than the picture
+    whole = container.duration / av.time_base if container.duration and alone else 0
+    return float(max(counted, timed, whole))
+
+
+def _upright(frame: av.VideoFrame, stream: av.VideoStream) -> NDArray[np.uint8]:
+    """The frame as (H, W, 3) RGB, its pixels made square by widening or heightening it, and turned upright."""
+    aspect = float(stream.sample_aspect_ratio or stream.codec_context.sample_aspect_ratio or 1)
+    width, height = round(frame.width * max(1.0, aspect)), round(frame.height * max(1.0, 1 / aspect))
+    image = frame.reformat(width, height, "rgb24").to_ndarray()
+    return np.ascontiguousarray(np.rot90(image, round(frame.rotation / 90)))
