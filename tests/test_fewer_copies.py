@@ -10,7 +10,7 @@ import pytest
 from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.codegen import kernels
 from kpirl_ocp.ocp.codegen.copy_elision import with_fewer_copies
-from kpirl_ocp.ocp.problem.trajectory_passes import along
+from kpirl_ocp.ocp.problem.scan import scan
 
 STEPS = 3
 needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")
@@ -26,7 +26,7 @@ def recursion(rows, columns):
     outputs = [x + kept, kept, moved, kept, ca.horzcat(kept, moved)]
     stage = ca.Function("stage", [x, y, start], outputs)
     wide = ca.MX.sym("Y", rows, columns * STEPS)
-    _, *found = along(stage, x, [wide, start], STEPS)
+    _, *found = scan(stage, x, [wide, start], STEPS)
     return ca.Function("recursion", [x, wide, start], [found[0] + found[2], found[1], found[3]])
 
 
@@ -93,7 +93,7 @@ def test_an_input_of_one_block_is_the_same_at_every_step(steps, backwards):
     stage = ca.Function("stage", [x, y, c], [c * x + y, x - y])
     Y = ca.MX.sym("Y", 2, 3 * steps)
     point = [np.random.default_rng(2).uniform(size=size) for size in ((2, 3), (2, 3 * steps), (2, 3))]
-    both = [along(stage, x, [Y, constant], steps, backwards) for constant in (c, ca.repmat(c, 1, steps))]
+    both = [scan(stage, x, [Y, constant], steps, backwards) for constant in (c, ca.repmat(c, 1, steps))]
     found, expected = (ca.Function("along", [x, Y, c], outputs)(*point) for outputs in both)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(np.array(one), np.array(other))

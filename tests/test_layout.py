@@ -7,18 +7,15 @@ from house import ORDER, ROOT, House, c_faults, package_sources
 KNOWN = {
     "circle of C files: kpirl_mpc, kpirl_mpc_memory",
     "circle of C files: kpirl_mpc_filter, kpirl_mpc_riccati",
-    "circle of modules: ocp.conditions.stage_points, ocp.problem.dynamics, ocp.problem.ocp, "
-    "ocp.problem.trajectory_passes",
     "circle of modules: ocp.export.exported_solver, ocp.export.folder, ocp.export.resident, ocp.export.riccati, "
     "ocp.export.targets, ocp.sensitivity.factorisation, ocp.sensitivity.implicit_function, "
     "ocp.sensitivity.kkt_system, ocp.solvers.riccati",
-    "circle of rooms: ocp.conditions, ocp.linear, ocp.problem",
+    "circle of rooms: ocp.conditions, ocp.linear",
     "circle of rooms: ocp.export, ocp.sensitivity, ocp.solvers",
     "circle of rooms: perception.data, perception.detector, perception.scene",
     "irl/comparison.py is in no room",
     "irl/study.py is in no room",
     "ocp.linear.kkt_operators -> ocp.conditions.nlp",
-    "ocp.problem.dynamics -> ocp.conditions.stage_points",
     "ocp.sensitivity.kkt_system -> ocp.export.resident",
     "ocp.sensitivity.kkt_system imports ocp.export.resident inside a function",
     "ocp.solvers.riccati -> ocp.export.resident",

@@ -1,5 +1,6 @@
 """Networks in the CasADi graph: the numbers of torch, and derivatives that agree with AD and finite differences."""
 
+from functools import partial
 from itertools import pairwise
 
 import casadi as ca
@@ -8,10 +9,10 @@ import pytest
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.activations import ACTIVATIONS
-from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.models.keypoint_dynamics import LinearisedNetwork, NetworkDynamics
 from kpirl_ocp.ocp.models.mlp import MLP, arrays, from_arrays, jacobian, pull, pull_tangent, push
 from kpirl_ocp.ocp.models.mlp_hessian import hessian
-from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
+from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedByStage
 
 every_activation = pytest.mark.parametrize("activation", ACTIVATIONS)
 PIECEWISE_LINEAR = ("identity", "leaky_relu", "relu")
@@ -220,34 +221,22 @@ def test_next_state_is_the_formula_of_the_appendix(residual):
 
 @every_activation
 @pytest.mark.parametrize("residual", [True, False])
-def test_derivatives_of_the_dynamics_are_those_of_ad(activation, residual):
-    dynamics, rng = random_dynamics(activation, residual), np.random.default_rng(5)
-    by_hand, by_ad = dynamics.derivatives(3), DynamicsDerivatives.by_ad(dynamics.function(3))
-    for _ in range(3):
-        point = [rng.normal(size=n) for n in (8, 2, 3)]
-        ds, du, lam = (rng.normal(size=n) for n in (8, 2, 8))
-        asked = {"jvp": [ds, du], "vjp": [lam], "jacobian": [], "hessian": [lam]}
-        for name, extra in asked.items():
-            found, expected = (getattr(d, name).call([*point, *extra]) for d in (by_hand, by_ad))
-            assert_agree([m.full() for m in found], [m.full() for m in expected], 2e-14)
+def test_linearised_dynamics_are_those_of_ad(activation, residual):
+    dynamics, rng, points = random_dynamics(activation, residual), np.random.default_rng(5), 3
+    inputs = [rng.normal(size=(n, points)) for n in (8, 2, 0, 8, 10, 8)]
+    S, U, psi, Lambda, x, dLambda = symbols = [ca.MX.sym("x", *array.shape) for array in inputs]
+    found, expected = (
+        ca.Function("linearised", symbols, everything(linearise(S, U, psi, Lambda), x, dLambda)).call(inputs)
+        for linearise in (partial(LinearisedNetwork, dynamics), partial(LinearisedByStage, dynamics.function(3)))
+    )
+    assert_agree([m.full() for m in found], [m.full() for m in expected], 2e-14)
 
 
-@every_activation
-@pytest.mark.parametrize("residual", [True, False])
-def test_derivatives_of_stages_side_by_side_are_those_of_ad(activation, residual):
-    dynamics, rng, steps = random_dynamics(activation, residual), np.random.default_rng(6), 3
-    both = dynamics.derivatives(3), DynamicsDerivatives.by_ad(dynamics.function(3))
-    inputs = [rng.normal(size=(n, steps)) for n in (8, 2, 0, 8)]
-    for together in (lambda d: d.first(steps), lambda d: of_all(d.second, steps)):
-        found, expected = (together(d).call(inputs) for d in both)
-        assert_agree([m.full() for m in found], [m.full() for m in expected], 2e-14)
-
-
-def of_all(second, steps):
-    """Both parts of a function of stages side by side."""
-    prepare = second.prepare(steps)
-    inputs = prepare.mx_in()
-    return ca.Function("second", inputs, second.finish.map(steps).call(prepare.call(inputs), True, False))
+def everything(at, x, dcostates):
+    """All that dynamics linearised at some points know."""
+    function, arguments = at.second()
+    second = function.map(x.size2()).call(arguments)
+    return [at.value, at.Ft_lambda, at.F_times(x), at.Ft_lambda_tangent(x, dcostates), *second]
 
 
 def test_a_state_of_another_shape_is_refused():

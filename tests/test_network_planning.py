@@ -31,12 +31,11 @@ from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.irl.learning.learn import Learner
 from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
-from kpirl_ocp.ocp.models.keypoint_passes import NetworkSweeps
+from kpirl_ocp.ocp.models.keypoint_passes import NetworkPasses
 from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 from kpirl_ocp.ocp.models.mlp import MLP
-from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
 from kpirl_ocp.ocp.problem.reduced_cost import ReducedCost
-from kpirl_ocp.ocp.problem.trajectory_passes import StageSweeps
+from kpirl_ocp.ocp.problem.trajectory_passes import StagePasses
 from kpirl_ocp.ocp.solvers import gradient_descent
 
 HORIZON, STEPS = 5, 4
@@ -87,7 +86,7 @@ def error(found, expected):
 # Passes along trajectories
 
 
-def passes(sweeps, n_psi, horizon, columns):
+def results(passes, n_psi, horizon, columns):
     """All results of the four passes, as one function of random arrays."""
     s0, psi, U, dU, Q, dQ = (
         ca.MX.sym(name, rows, width * columns)
@@ -100,10 +99,10 @@ def passes(sweeps, n_psi, horizon, columns):
             ("dQ", 8, horizon + 1),
         ]
     )
-    at = sweeps.rollout(s0, U, psi)
-    dS = sweeps.tangent(at, psi, dU)
-    first = sweeps.adjoint(at, psi, Q)
-    second = sweeps.adjoint_tangent(at, psi, first.memory, dS, dU, dQ)
+    at = passes.rollout(s0, U, psi)
+    dS = passes.tangent(at, psi, dU)
+    first = passes.adjoint(at, psi, Q)
+    second = passes.adjoint_tangent(at, psi, first.memory, dS, dU, dQ)
     return ca.Function("passes", [s0, psi, U, dU, Q, dQ], [at.states, dS, *first[:3], *second[:3]])
 
 
@@ -113,8 +112,8 @@ def passes(sweeps, n_psi, horizon, columns):
 def test_passes_of_a_network_are_those_stage_by_stage(activation, residual, horizon, columns):
     model = dynamics(activation, residual)
     function = model.function(3)
-    fast = passes(NetworkSweeps(model, horizon, columns), 3, horizon, columns)
-    slow = passes(StageSweeps(function, DynamicsDerivatives.by_ad(function), horizon, columns), 3, horizon, columns)
+    fast = results(NetworkPasses(model, horizon, columns), 3, horizon, columns)
+    slow = results(StagePasses(function, horizon, columns), 3, horizon, columns)
     rng = np.random.default_rng(3)
     point = [rng.normal(size=fast.size_in(i)) for i in range(fast.n_in())]
     for found, expected in zip(fast(*point), slow(*point), strict=True):

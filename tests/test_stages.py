@@ -1,6 +1,7 @@
 """Stage functions against derivatives of the whole program, with hand-arranged derivatives and without."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -12,7 +13,7 @@ from kpirl_ocp.ocp.conditions import stage_derivatives as stages
 from kpirl_ocp.ocp.conditions.hessian_products import Lagrangian, lagrangian_symbols
 from kpirl_ocp.ocp.conditions.nlp import transcribe
 from kpirl_ocp.ocp.linear.kkt_operators import flat
-from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives, Staged
+from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedByStage
 from kpirl_ocp.ocp.sensitivity import conditioning as kkt_spectra
 from kpirl_ocp.ocp.sensitivity import refinement as kkt_solves
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, PrimalDual, linearise
@@ -73,7 +74,7 @@ def test_products_without_matrices_are_those_with_them(name):
     costates, forces = ca.MX.sym("costates", problem.n_states, steps), ca.MX.sym("forces", problem.n_path, steps)
     here = Lagrangian(problem, *at)
     balance, end = here.balance(x, last, costates, forces)
-    outputs = [flat(problem, balance, end), ca.vec(here.moved(x)), ca.vec(here.path(x)), here.slope()]
+    outputs = [flat(problem, balance, end), ca.vec(here.F_times(x)), ca.vec(here.path(x)), here.slope()]
     evaluate = ca.Function("products", [*at, x, last, costates, forces], outputs)
     w, dcostates, dforces = (RNG.normal(size=size.shape) for size in (point.w, point.costates, point.forces))
     dforces[: len(dforces) - len(instance.path_forces(dforces))] = 0  # bounds are not part of it
@@ -94,13 +95,21 @@ def test_products_without_matrices_are_those_with_them(name):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * max(1.0, np.abs(other).max(initial=0.0)))
 
 
+@dataclass(frozen=True, eq=False)
+class Marked(LinearisedByStage):
+    """Another Hessian, to see whether it is asked for."""
+
+    def second(self):
+        function, arguments = super().second()
+        *others, hessian = function(*function.mx_in())
+        return ca.Function("second", function.mx_in(), [*others, hessian + 1]), arguments
+
+
 def test_stage_functions_take_the_derivatives_that_a_problem_brings():
     case = network("tanh")
-    given = DynamicsDerivatives.by_ad(case.problem.dynamics)
-    asked = given.second.finish.mx_in()
-    *others, hessian = given.second.finish(*asked)
-    marked = Staged.by_stage(ca.Function("second", asked, [*others, hessian + 1]))
-    problem = replace(case.problem, derivatives=replace(given, second=marked))
+    by_ad = case.problem.dynamics_derivatives
+    marked = replace(by_ad, linearise=partial(Marked, case.problem.dynamics))
+    problem = replace(case.problem, derivatives=marked)
     instance, point = random_point(case)
     arguments = (*instance.at(point.w), point.costates, np.zeros(0))
     plain, other = (call(p, stages.second)(*arguments)[9] for p in (case.problem, problem))

@@ -19,8 +19,9 @@ import numpy as np
 from kpirl_ocp.irl.hypergradients.loss import Loss
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
+from kpirl_ocp.ocp.problem.scan import reverse, sum_blocks
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
-from kpirl_ocp.ocp.problem.trajectory_passes import Rollout, reverse, sum_blocks
+from kpirl_ocp.ocp.problem.trajectory_passes import Rollout
 from kpirl_ocp.ocp.solvers.gradient_descent import (
     GradientDescent,
     by_trajectory,
@@ -104,7 +105,7 @@ def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns
     """(v, record of a step, psi, theta) -> (dPhi/dU)^T v, (dPhi/dpsi)^T v, (dPhi/dtheta)^T v: one Hessian product."""
     u, s0, psi, *theta = step.mx_in()
     reduced, coefficients = ReducedCost(problem, columns), Coefficients(*theta)
-    remembered = len(reduced.sweeps.rollout(s0, u, psi).memory)
+    remembered = len(reduced.passes.rollout(s0, u, psi).memory)
     free, states, *record = symbols_like("record", step.mx_out()[2:])
     at = Rollout(states, u, tuple(record[:remembered]))
     v = ca.MX.sym("v", *u.shape)
@@ -149,7 +150,7 @@ def _loss_and_gradients(
         _regroup(at.rollout.states, columns), _regroup(at.rollout.actions, columns), observed
     )
     horizon = reduced.problem.horizon
-    adjoint = reduced.sweeps.adjoint(at.rollout, psi, _regroup(by_states, horizon + 1))
+    adjoint = reduced.passes.adjoint(at.rollout, psi, _regroup(by_states, horizon + 1))
     return value, _regroup(by_actions, horizon) + adjoint.by_actions, adjoint.by_parameters
 
 

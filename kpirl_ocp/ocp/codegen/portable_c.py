@@ -15,12 +15,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from importlib.resources import files
 
 import casadi as ca
 
 from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels
-from kpirl_ocp.ocp.codegen.templates import LICENCE, PREFIX
+from kpirl_ocp.ocp.codegen.templates import LICENCE, PREFIX, read
 
 _SIGNATURE = "(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem)"
 _PREAMBLE = f"""{LICENCE}
@@ -126,7 +125,7 @@ def with_kernel(source: str) -> str:
     if start < 0:
         return source
     end = source.index("\n}\n", start) + len("\n}\n")
-    return source[:start] + (files(__package__) / "c" / "kernel.c").read_text() + source[end:]
+    return source[:start] + read("kernel.c") + source[end:]
 
 
 def _without_unused(source: str) -> str:

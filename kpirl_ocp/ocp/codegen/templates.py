@@ -11,8 +11,8 @@ LICENCE = "/* SPDX-License-Identifier: MIT */"
 
 
 def read(name: str) -> str:
-    """A file of this package's directory `c`."""
-    return (files(__package__) / "c" / name).read_text()
+    """The text of a file in `ocp/export/c`."""
+    return (files("kpirl_ocp.ocp") / "export" / "c" / name).read_text()
 
 
 def renamed(text: str, prefix: str) -> str:

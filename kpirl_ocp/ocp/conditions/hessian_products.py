@@ -15,10 +15,16 @@ from functools import cached_property, lru_cache
 
 import casadi as ca
 
-from kpirl_ocp.ocp.conditions.stage_derivatives import pairing, psi_by_stage, stage_arguments, stage_gradient, symbols
-from kpirl_ocp.ocp.conditions.stage_points import Points, points
+from kpirl_ocp.ocp.conditions.stage_derivatives import (
+    linearise_dynamics,
+    pairing,
+    stage_arguments,
+    stage_gradient,
+    symbols,
+)
 from kpirl_ocp.ocp.linear.kkt_operators import flat, len_x, matrices
 from kpirl_ocp.ocp.linear.stage_operators import by_stage, path_product
+from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedDynamics
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients, TrajectoryCost
 
@@ -43,7 +49,7 @@ class Lagrangian:
     def slope(self) -> ca.MX:
         """Gradient (n_w,) of J + lambda . f + mu . h; the successors' - lambda, which is constant, is left out."""
         by_states, by_actions = self._cost.first(self.states, self.actions, self._theta)[1:]
-        slope = ca.vertcat(by_states[:, :-1], by_actions) + self._dynamics.pulled
+        slope = ca.vertcat(by_states[:, :-1], by_actions) + self._dynamics.Ft_lambda
         if self.problem.path_constraint is not None:
             path = stage_gradient(self.problem.path_constraint).map(self.problem.horizon)
             slope += path(*self._arguments, self.forces)
@@ -60,21 +66,19 @@ class Lagrangian:
         n_s, steps = self.problem.n_states, self.problem.horizon
         dS = ca.horzcat(x[:n_s, :], last)
         by_states, by_actions, _ = self._cost.second(self.states, self.actions, self._theta, dS, x[n_s:, :])
-        balance = ca.vertcat(by_states[:, :-1], by_actions) + self._dynamics.pulled_tangent(x, costates)
+        balance = ca.vertcat(by_states[:, :-1], by_actions) + self._dynamics.Ft_lambda_tangent(x, costates)
         if self.problem.path_constraint is not None:
             path = _path_pull(self.problem.path_constraint).map(steps)
             balance += path(*self._arguments, self.forces, x, forces)
         return balance, by_states[:, -1]
 
-    def moved(self, x: ca.MX) -> ca.MX:
+    def F_times(self, x: ca.MX) -> ca.MX:
         """See `Operator`."""
-        return self._dynamics.moved(x)
+        return self._dynamics.F_times(x)
 
     @cached_property
-    def _dynamics(self) -> Points:
-        return points(
-            self.problem, self.states[:, :-1], self.actions, psi_by_stage(self.problem, self.psi), self.costates
-        )
+    def _dynamics(self) -> LinearisedDynamics:
+        return linearise_dynamics(self.problem, self.states, self.actions, self.psi, self.costates)
 
     @cached_property
     def _cost(self) -> TrajectoryCost:

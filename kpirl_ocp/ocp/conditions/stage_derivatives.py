@@ -17,7 +17,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.problem.dynamics import depends_on_psi, without_psi
+from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedDynamics, depends_on_psi, without_psi
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.trajectory_cost import TrajectoryCost, stage_costs
 from kpirl_ocp.types import Array
@@ -41,14 +41,13 @@ def first(problem: OCP) -> ca.Function:
     (states, actions, psi, context), (costates, forces), steps = point, dual, problem.horizon
     cost = TrajectoryCost(problem, 1)
     total, by_states, by_actions = cost.first(states, actions, cost.coefficients(psi, context))
-    through = states[:, :-1], actions, psi_by_stage(problem, psi), costates
-    arrived, *pulled = problem.dynamics_derivatives.first(steps)(*through)
-    pulled, path = ca.vertcat(*pulled), problem.path(*point)
+    dynamics = linearise_dynamics(problem, states, actions, psi, costates)
+    Ft_lambda, path = dynamics.Ft_lambda, problem.path(*point)
     if problem.path_constraint is not None:
-        pulled += stage_gradient(problem.path_constraint).map(steps)(*stage_arguments(problem, *point), forces)
+        Ft_lambda += stage_gradient(problem.path_constraint).map(steps)(*stage_arguments(problem, *point), forces)
     slope, last_slope = ca.vertcat(by_states[:, :steps], by_actions), by_states[:, steps]
-    lagrangian = _lagrangian(problem, slope, last_slope, pulled, costates)
-    outputs = [total, arrived - states[:, 1:], path, slope, last_slope, *lagrangian]
+    lagrangian = _lagrangian(problem, slope, last_slope, Ft_lambda, costates)
+    outputs = [total, dynamics.value - states[:, 1:], path, slope, last_slope, *lagrangian]
     return ca.Function("stage_first", [*point, *dual], [ca.densify(x) for x in outputs])
 
 
@@ -58,10 +57,11 @@ def second(problem: OCP) -> ca.Function:
     point, dual = symbols(problem)
     (states, actions, psi, context), (costates, forces), steps = point, dual, problem.horizon
     theta = TrajectoryCost(problem, 1).coefficients(psi, context)
-    through = [states[:, :-1], actions, psi_by_stage(problem, psi), costates]
-    prepared = problem.dynamics_derivatives.second.prepare(steps).call(through, True, False)
-    arguments = stage_arguments(problem, *point) if problem.path_constraint is not None else through[:2]
-    value, slope, arrived, path, pulled, F, G, H = _stage_second(problem).map(steps)(
+    dynamics, prepared = linearise_dynamics(problem, states, actions, psi, costates).second()
+    arguments = stage_arguments(problem, *point)
+    if problem.path_constraint is None:
+        arguments = arguments[:2]
+    value, slope, arrived, path, pulled, F, G, H = _stage_second(problem, dynamics).map(steps)(
         *arguments, theta.stages, costates, forces, *prepared
     )
     _, final = stage_costs(problem)
@@ -69,6 +69,12 @@ def second(problem: OCP) -> ca.Function:
     lagrangian = _lagrangian(problem, slope, last_slope, pulled, costates)
     outputs = [ca.sum2(value) + last, arrived - states[:, 1:], path, slope, last_slope, *lagrangian, F, G, H, H_last]
     return ca.Function("stage_second", [*point, *dual], [ca.densify(x) for x in outputs])
+
+
+def linearise_dynamics(problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, costates: ca.MX) -> LinearisedDynamics:
+    """The dynamics at all stages of S (n_s, T+1), U (n_u, T), psi and Lambda (n_s, T)."""
+    at = states[:, :-1], actions, psi_by_stage(problem, psi), costates
+    return problem.dynamics_derivatives.linearise(*at)
 
 
 def by_time(problem: OCP, x: Array, last: Array) -> Array:
@@ -117,20 +123,19 @@ def _repeat(problem: OCP, value: ca.MX) -> ca.MX:
     return ca.repmat(value, 1, problem.horizon)
 
 
-def _stage_second(problem: OCP) -> ca.Function:
-    """(s, u, psi, c, d, theta, lambda, mu, prepared ..) -> l, its gradient, f, h, F' lambda + G' mu, F, G, H.
+def _stage_second(problem: OCP, dynamics: ca.Function) -> ca.Function:
+    """(s, u, psi, c, d, theta, lambda, mu, arguments of dynamics) -> l, its gradient, f, h, F' lambda + G' mu, F, G, H.
 
-    Of one stage; without path constraints (s, u, theta, ..).
+    Of one stage; without path constraints (s, u, theta, ..). dynamics: that of `LinearisedDynamics.second`.
     """
     path, (running, _) = problem.path_constraint, stage_costs(problem)
     names = ("s", "u", "psi", "c", "d") if path is not None else ("s", "u")
     point = [ca.MX.sym(name, problem.stage_cost.size1_in(i)) for i, name in enumerate(names)]
     theta = ca.MX.sym("theta", running.hessian.size1_in(2))
     costate, force = ca.MX.sym("lambda", problem.n_states), ca.MX.sym("mu", problem.n_path)
-    finish = problem.dynamics_derivatives.second.finish
-    prepared = [ca.MX.sym("prepared", finish.size1_in(i)) for i in range(finish.n_in())]
+    prepared = [ca.MX.sym("prepared", dynamics.size1_in(i)) for i in range(dynamics.n_in())]
     value, slope, curvature = running.hessian(*point[:2], theta)
-    arrived, F, H = finish.call(prepared, True, False)
+    arrived, F, H = dynamics.call(prepared, True, False)
     F, H = ca.densify(F), _plus_sparse(H, curvature)
     pulled = (costate.T @ F).T
     G, h = ca.MX(0, problem.n_states + problem.n_actions), ca.MX(0, 1)

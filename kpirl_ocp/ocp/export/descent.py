@@ -10,6 +10,7 @@ from __future__ import annotations
 import casadi as ca
 
 from kpirl_ocp.ocp.codegen.target import Target, dynamics
+from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedDynamics, depends_on_psi
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
@@ -46,9 +47,9 @@ def descent_back(problem: OCP) -> ca.Function:
     inputs, reduced, theta, at = _linearise(problem)
     u, _, psi, context = inputs
     w = ca.MX.sym("w", *u.shape)
-    dS = reduced.sweeps.tangent(at.rollout, psi, w)
+    dS = reduced.passes.tangent(at.rollout, psi, w)
     by_states, by_actions, by_theta = reduced.cost.second(at.rollout.states, u, theta, dS, w)
-    back = reduced.sweeps.adjoint_tangent(at.rollout, psi, at.adjoint.memory, dS, w, by_states)
+    back = reduced.passes.adjoint_tangent(at.rollout, psi, at.adjoint.memory, dS, w, by_states)
     x = [ca.MX.sym("x", *share.shape) for share in by_theta]
     paired = ca.dot(theta.stages, x[0]) + ca.dot(theta.last, x[1])
     pull = ca.Function("pull", [psi, context, *x], [ca.gradient(paired, p) for p in (psi, context)])
@@ -63,9 +64,9 @@ def descent_slope(problem: OCP) -> ca.Function:
     inputs, reduced, _, at = _linearise(problem)
     by_states = ca.MX.sym("L_S", problem.n_states, problem.horizon + 1)
     by_actions = ca.MX.sym("L_U", problem.n_actions, problem.horizon)
-    adjoint = reduced.sweeps.adjoint(at.rollout, inputs[2], by_states)
-    by_state, _ = problem.dynamics_derivatives.jacobian(inputs[1], inputs[0][:, 0], inputs[2])
-    by_start = by_states[:, 0] + by_state.T @ adjoint.costates[:, 0]
+    adjoint = reduced.passes.adjoint(at.rollout, inputs[2], by_states)
+    start = _dynamics_at_start(problem, at, inputs[2], adjoint.costates)
+    by_start = by_states[:, 0] + start.Ft_lambda[: problem.n_states]
     outputs = [by_actions + adjoint.by_actions, adjoint.by_parameters, by_start]
     return ca.Function("descent_slope", [*inputs, by_states, by_actions], [ca.densify(x) for x in outputs])
 
@@ -80,8 +81,13 @@ def _linearise(problem: OCP) -> tuple[list[ca.MX], ReducedCost, Coefficients, Li
 
 def _by_start(problem: OCP, at: Linearisation, back: Adjoint, by_states: ca.MX, w: ca.MX, psi: ca.MX) -> ca.MX:
     """d(w . dJ/dU)/ds_0 = l_su w_0 + f_s' dlambda_1 + (lambda_1 . f)_su w_0, the tangent of lambda_0 along w."""
-    derivatives, n_s = problem.dynamics_derivatives, problem.n_states
-    stage = at.rollout.states[:, 0], at.rollout.actions[:, 0], psi
-    by_state, _ = derivatives.jacobian(*stage)
-    curvature = derivatives.hessian(*stage, at.adjoint.costates[:, 0])
-    return by_states[:, 0] + by_state.T @ back.costates[:, 0] + curvature[:n_s, n_s:] @ w[:, 0]
+    start, n_s = _dynamics_at_start(problem, at, psi, at.adjoint.costates), problem.n_states
+    change = start.Ft_lambda_tangent(ca.vertcat(ca.MX.zeros(n_s), w[:, 0]), back.costates[:, 0])
+    return by_states[:, 0] + change[:n_s]
+
+
+def _dynamics_at_start(problem: OCP, at: Linearisation, psi: ca.MX, costates: ca.MX) -> LinearisedDynamics:
+    """f at (s_0, u_0) with lambda_1, the first column of the costates."""
+    given = psi if depends_on_psi(problem.dynamics) else ca.MX(0, 1)
+    stage = at.rollout.states[:, 0], at.rollout.actions[:, 0], given, costates[:, 0]
+    return problem.dynamics_derivatives.linearise(*stage)

@@ -28,7 +28,7 @@ class Operator(Protocol):
         """H_t x_t + F_t' lambda_t + G_t' mu_t (n_x, T), and H_T s_T (n_s,); lambda is (n_s, T), mu (n_h, T)."""
         ...
 
-    def moved(self, x: ca.MX) -> ca.MX:
+    def F_times(self, x: ca.MX) -> ca.MX:
         """F_t x_t (n_s, T)."""
         ...
 
@@ -58,7 +58,7 @@ class Stored:
             balance = balance + pull_path(self.problem, self.G, forces)
         return balance, self.last @ last
 
-    def moved(self, x: ca.MX) -> ca.MX:
+    def F_times(self, x: ca.MX) -> ca.MX:
         """See `Operator`."""
         return path_product(self.problem.n_states, len_x(self.problem)).map(self.problem.horizon)(self.F, x)
 

@@ -24,7 +24,7 @@ from functools import lru_cache
 import casadi as ca
 
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.trajectory_passes import along
+from kpirl_ocp.ocp.problem.scan import scan
 
 
 @lru_cache(maxsize=64)
@@ -42,7 +42,7 @@ def factorise(problem: OCP) -> ca.Function:
     stage = ca.Function("factor_stage", [P, F, H], [(before + before.T) / 2, W, Y, pivots])
 
     F, H, last = ca.MX.sym("F", n_s, n_x * steps), ca.MX.sym("H", n_x, n_x * steps), ca.MX.sym("H_T", n_s, n_s)
-    P, W, Y, pivots = along(stage, last, [F, H], steps, backwards=True)
+    P, W, Y, pivots = scan(stage, last, [F, H], steps, backwards=True)
     return ca.Function("factorise", [F, H, last], [ca.horzcat(P[:, n_s:], last), W, Y, pivots])
 
 
@@ -70,9 +70,9 @@ def substitute(problem: OCP) -> ca.Function:
     W, Y = ca.MX.sym("W", n_u, n_u * steps), ca.MX.sym("Y", n_u, n_s * steps)
     q, last, d = ca.MX.sym("q", n_x, steps), ca.MX.sym("q_T", n_s), ca.MX.sym("d", n_s, steps)
     pivots = ca.MX.sym("D", n_u, steps)
-    p, v = along(backward, last, [F, P, W, Y, pivots, q, d], steps, backwards=True)
+    p, v = scan(backward, last, [F, P, W, Y, pivots, q, d], steps, backwards=True)
     p = ca.horzcat(p[:, 1:], last)  # p_1 .. p_T
-    states, u, costates = along(forward, s, [F, P, W, Y, pivots, v, d, p], steps)
+    states, u, costates = scan(forward, s, [F, P, W, Y, pivots, v, d, p], steps)
     return ca.Function("substitute", [F, P, W, Y, pivots, q, last, d, s], [ca.horzcat(s, states), u, costates])
 
 
@@ -119,7 +119,7 @@ def condense(problem: OCP) -> ca.Function:
 
     F, H, last = ca.MX.sym("F", n_s, n_x * steps), ca.MX.sym("H", n_x, n_x * steps), ca.MX.sym("H_T", n_s, n_s)
     u = ca.MX.sym("u", n_u, steps)
-    (after,) = along(forward, ca.MX.zeros(n_s), [F, u], steps)
+    (after,) = scan(forward, ca.MX.zeros(n_s), [F, u], steps)
     x = ca.vertcat(ca.horzcat(ca.MX.zeros(n_s, 1), after[:, : steps - 1]), u)
-    product = along(backward, last @ after[:, steps - 1], [F, H, x], steps, backwards=True)[1]
+    product = scan(backward, last @ after[:, steps - 1], [F, H, x], steps, backwards=True)[1]
     return ca.Function("condense", [F, H, last, u], [product])

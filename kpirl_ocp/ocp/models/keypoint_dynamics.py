@@ -6,6 +6,7 @@ z_next = z + mlp(z, theta, theta_dot, u),    theta_next = theta + u,    theta_do
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -13,9 +14,8 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.activations import Slopes
-from kpirl_ocp.ocp.models.mlp import MLP, jacobian, pull, push
-from kpirl_ocp.ocp.models.mlp_hessian import hessian, prepare, second
-from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives, Staged
+from kpirl_ocp.ocp.models.mlp import MLP, pull, pull_tangent, push
+from kpirl_ocp.ocp.models.mlp_hessian import prepare, second
 from kpirl_ocp.types import Array
 
 
@@ -61,67 +61,20 @@ class NetworkDynamics:
 
     def function(self, n_parameters: int) -> ca.Function:
         """f(s, u, psi) -> s_next; psi (n_parameters,) belongs to the cost and is not used."""
-        s, u, psi = self._symbols(n_parameters)
-        y = self.mlp(ca.vertcat(s, u))
+        s, u = ca.MX.sym("s", self.n_states), ca.MX.sym("u", self.n_joints)
+        psi, y = ca.MX.sym("psi", n_parameters), self.mlp(ca.vertcat(s, u))
         return ca.Function("dynamics", [s, u, psi], [self.successor(s, y, u)])
-
-    def derivatives(self, n_parameters: int) -> DynamicsDerivatives:
-        """The derivatives of `function`, arranged by hand."""
-        s, u, psi = self._symbols(n_parameters)
-        ds, du, lam = (ca.MX.sym(name, like.numel()) for name, like in (("ds", s), ("du", u), ("lam", s)))
-        _, slopes = self.mlp.linearise(ca.vertcat(s, u))
-        moved, _ = push(self.mlp, slopes, ca.vertcat(ds, du))
-        by_s, by_u = self.pulled(slopes, lam)
-        J = jacobian(self.mlp, slopes)
-        F = ca.vertcat(J + self.linear[: self.n_z, :], self.linear[self.n_z :, :])
-        return DynamicsDerivatives(
-            jvp=ca.Function("jvp", [s, u, psi, ds, du], [self.successor(ds, moved, du)]),
-            vjp=ca.Function("vjp", [s, u, psi, lam], [by_s, by_u, ca.MX.zeros(n_parameters)]),
-            jacobian=ca.Function("jacobian", [s, u, psi], [F[:, : self.n_states], F[:, self.n_states :]]),
-            hessian=ca.Function("hessian", [s, u, psi, lam], [hessian(self.mlp, slopes, lam[: self.n_z])]),
-            first=self._first,
-            second=Staged(self._prepare, self._second()),
-        )
-
-    def _first(self, steps: int) -> ca.Function:
-        """See `DynamicsDerivatives.first`."""
-        s, u, psi, lam = self._columns(steps)
-        y, slopes = self.mlp.linearise(ca.vertcat(s, u))
-        return ca.Function("first", [s, u, psi, lam], [self.successor(s, y, u), *self.pulled(slopes, lam)])
-
-    def _prepare(self, steps: int) -> ca.Function:
-        """(s, u, no psi, lam) of all stages -> f, and what `network_second.second` takes."""
-        s, u, psi, lam = self._columns(steps)
-        y, slopes = self.mlp.linearise(ca.vertcat(s, u))
-        parts = prepare(self.mlp, slopes, lam[: self.n_z, :])
-        return ca.Function("prepare", [s, u, psi, lam], [self.successor(s, y, u), *(x for x in parts if x is not None)])
-
-    def _second(self) -> ca.Function:
-        """f and those parts at one stage -> f, (f_s, f_u) and the Hessian."""
-        _, slopes = self.mlp.linearise(ca.MX.sym("x", self.mlp.n_in))
-        parts = prepare(self.mlp, slopes, ca.MX.sym("lam", self.n_z))
-        value = ca.MX.sym("f", self.n_states)
-        symbols = [None if part is None else ca.MX.sym("part", part.size1()) for part in parts]
-        J, H = second(self.mlp, symbols)
-        F = ca.MX(ca.densify(self.linear))
-        F[: self.n_z, :] = J + self.linear[: self.n_z, :]
-        return ca.Function("second", [value, *(x for x in symbols if x is not None)], [value, F, H])
-
-    def _columns(self, steps: int) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
-        """s, u, no psi and lam of all stages."""
-        sizes = {"s": self.n_states, "u": self.n_joints, "psi": 0, "lam": self.n_states}
-        s, u, psi, lam = (ca.MX.sym(name, size, steps) for name, size in sizes.items())
-        return s, u, psi, lam
 
     def successor(self, s: ca.MX, y: ca.MX, u: ca.MX) -> ca.MX:
         """The next state for the output y of the network, or its change for changes."""
         return self._shift(s) + ca.vertcat(y, self._displacement(u))
 
-    def pulled(self, slopes: list[Slopes], lam: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """f_s^T lam (n_s, B) and f_u^T lam (n_u, B)."""
-        pulled, _ = pull(self.mlp, slopes, lam[: self.n_z, :])
-        theta = lam[self.n_z : self.n_z + self.n_joints, :]
-        return self._shift(lam) + pulled[: self.n_states, :], theta + pulled[self.n_states :, :]
+    def pull(self, slopes: list[Slopes], costates: ca.MX) -> ca.MX:
+        """F' lambda (n_x, B) for costates (n_s, B)."""
+        by_network, _ = pull(self.mlp, slopes, costates[: self.n_z, :])
+        theta = costates[self.n_z : self.n_z + self.n_joints, :]
+        by_s = self._shift(costates) + by_network[: self.n_states, :]
+        return ca.vertcat(by_s, theta + by_network[self.n_states :, :])
 
     @property
     def linear(self) -> ca.DM:
@@ -130,19 +83,71 @@ class NetworkDynamics:
         by_u = ca.vertcat(ca.DM(self.n_z, self.n_joints), self._displacement(ca.DM.eye(self.n_joints)))
         return ca.horzcat(by_s, by_u)
 
-    def _symbols(self, n_parameters: int) -> tuple[ca.MX, ca.MX, ca.MX]:
-        return (
-            ca.MX.sym("s", self.n_states),
-            ca.MX.sym("u", self.n_joints),
-            ca.MX.sym("psi", n_parameters),
-        )
-
     def _shift(self, s: ca.MX | ca.DM) -> ca.MX | ca.DM:
-        """The part of the state that stays."""
+        """The part of the state that the next one is a change of."""
         if self.residual:
             return s
         return ca.vertcat(type(s).zeros(self.n_z, s.size2()), s[self.n_z :, :])
 
     def _displacement(self, u: ca.MX | ca.DM) -> ca.MX | ca.DM:
-        """How theta and theta_dot move."""
+        """The displacement (2 n_joints, B) of theta and theta_dot."""
         return ca.vertcat(u, type(u)(self.n_joints, u.size2()))
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedNetwork:
+    """The dynamics at many points: every layer is one matrix product for all of them; see `LinearisedDynamics`.
+
+    psi is not used. Slopes of the activations are computed once, whatever is asked.
+    """
+
+    dynamics: NetworkDynamics
+    states: ca.MX
+    actions: ca.MX
+    psi: ca.MX
+    costates: ca.MX
+
+    @property
+    def value(self) -> ca.MX:
+        """The successors."""
+        return self.dynamics.successor(self.states, self._linearised[0], self.actions)
+
+    @property
+    def Ft_lambda(self) -> ca.MX:
+        """The costates pulled back through every stage."""
+        return self.dynamics.pull(self._slopes, self.costates)
+
+    def F_times(self, x: ca.MX) -> ca.MX:
+        """The change of the successors along x."""
+        n_s = self.dynamics.n_states
+        by_network, _ = push(self.dynamics.mlp, self._slopes, x)
+        return self.dynamics.successor(x[:n_s, :], by_network, x[n_s:, :])
+
+    def Ft_lambda_tangent(self, x: ca.MX, dcostates: ca.MX) -> ca.MX:
+        """The change of `Ft_lambda`."""
+        adjoints = self._of_network(self.costates), x, self._of_network(dcostates)
+        by_network, _ = pull_tangent(self.dynamics.mlp, self._slopes, *adjoints)
+        return by_network + self.dynamics.linear.T @ dcostates
+
+    def second(self) -> tuple[ca.Function, list[ca.MX]]:
+        """Of one point: the products that are left when `mlp_hessian.prepare` was done for all points at once."""
+        dynamics = self.dynamics
+        parts = prepare(dynamics.mlp, self._slopes, self._of_network(self.costates))
+        value = ca.MX.sym("f", dynamics.n_states)
+        symbols = [None if part is None else ca.MX.sym("part", part.size1()) for part in parts]
+        J, H = second(dynamics.mlp, symbols)
+        F = ca.MX(ca.densify(dynamics.linear))
+        F[: dynamics.n_z, :] = J + dynamics.linear[: dynamics.n_z, :]
+        function = ca.Function("second", [value, *(x for x in symbols if x is not None)], [value, F, H])
+        return function, [self.value, *(part for part in parts if part is not None)]
+
+    @property
+    def _slopes(self) -> list[Slopes]:
+        return self._linearised[1]
+
+    @cached_property
+    def _linearised(self) -> tuple[ca.MX, list[Slopes]]:
+        return self.dynamics.mlp.linearise(ca.vertcat(self.states, self.actions))
+
+    def _of_network(self, costates: ca.MX) -> ca.MX:
+        return costates[: self.dynamics.n_z, :]

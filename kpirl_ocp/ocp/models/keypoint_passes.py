@@ -21,40 +21,41 @@ import numpy as np
 
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.models.mlp import MLP, arrays, curved, from_arrays, pull, pull_tangent, push
-from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout, along
+from kpirl_ocp.ocp.problem.scan import scan
+from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout
 from kpirl_ocp.types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkSweeps:
-    """The passes over T steps for B trajectories; see `kpirl_ocp.ocp.problem.trajectory_passes.Sweeps`."""
+class NetworkPasses:
+    """The passes over T steps for B trajectories; see `kpirl_ocp.ocp.problem.trajectory_passes.TrajectoryPasses`."""
 
     dynamics: NetworkDynamics
     horizon: int
     columns: int
 
     def rollout(self, s0: ca.MX, actions: ca.MX, psi: ca.MX) -> Rollout:
-        """See `Sweeps`."""
+        """States from s0 (n_s, B): the joints of all times first."""
         z0, theta0, velocity = self._parts(s0)
         theta = self._sum(theta0, actions)
         constant = ca.mac(ca.DM(self._by_velocity), velocity, ca.repmat(ca.DM(self._mlp.biases[0]), 1, self.columns))
-        z, *memory = along(self._forward, z0, self._ahead(theta, actions, constant), self.horizon)
+        z, *memory = scan(self._forward, z0, self._ahead(theta, actions, constant), self.horizon)
         states = _stack(ca.horzcat(z0, z), theta, ca.repmat(velocity, 1, self.horizon + 1))
         return Rollout(states, actions, tuple(memory))
 
     def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
-        """See `Sweeps`."""
+        """Changes of the states, of s_0 none."""
         zero = ca.MX.zeros(self.dynamics.n_z, self.columns)
         dtheta = self._sum(ca.MX.zeros(self.dynamics.n_joints, self.columns), dU)
-        moved = along(self._tangent, zero, [*at.memory, *self._ahead(dtheta, dU)], self.horizon)
-        return _stack(ca.horzcat(zero, *moved), dtheta, ca.MX.zeros(dtheta.shape))
+        after = scan(self._tangent, zero, [*at.memory, *self._ahead(dtheta, dU)], self.horizon)
+        return _stack(ca.horzcat(zero, *after), dtheta, ca.MX.zeros(dtheta.shape))
 
     def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
-        """See `Sweeps`."""
+        """Costates for the slopes Q."""
         return self._backwards(self._adjoint, psi, Q, *at.memory)
 
     def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
-        """See `Sweeps`."""
+        """Changes of the costates along (dS, dU); those of `adjoint` where the network has no curvature."""
         if not self._curved:
             return self._backwards(self._adjoint, psi, Q, *at.memory)
         dz, dtheta, _ = self._parts(dS)
@@ -65,8 +66,8 @@ class NetworkSweeps:
         """Accumulate a stage (lambda_z, q_z, ...) -> lambda_z, the adjoint of a_1; then sum up for the joints."""
         B, n_q = self.columns, self.dynamics.n_joints
         by_z, by_theta, by_velocity = self._parts(Q)
-        swept, *shares = along(stage, by_z[:, -B:], [by_z[:, :-B], *inputs], self.horizon, backwards=True)
-        costates = ca.horzcat(swept[:, B:], by_z[:, -B:])
+        before, *shares = scan(stage, by_z[:, -B:], [by_z[:, :-B], *inputs], self.horizon, backwards=True)
+        costates = ca.horzcat(before[:, B:], by_z[:, -B:])
         share, inner = shares if self._wide else self._shares(*shares)
         theta = self._sum_back(by_theta, share[:n_q, :])
         velocity = self._sum_back(by_velocity, ca.DM(self._by_velocity.T) @ inner)
@@ -109,7 +110,7 @@ class NetworkSweeps:
 
     def _sum(self, start: ca.MX, actions: ca.MX) -> ca.MX:
         """theta_0 .. theta_T (n_q, (T+1) B), the running sum of the actions."""
-        return ca.horzcat(start, *along(_add(*start.shape), start, [actions], self.horizon))
+        return ca.horzcat(start, *scan(_add(*start.shape), start, [actions], self.horizon))
 
     def _sum_back(self, q: ca.MX, share: ca.MX) -> ca.MX:
         """lambda_1 .. lambda_T of a row of the state that is an integrator: lambda_t = q_t + share_t + lambda_{t+1}."""
@@ -117,7 +118,7 @@ class NetworkSweeps:
         if self.horizon == 1:
             return q[:, -B:]
         last, pushes = q[:, -B:], q[:, B:-B] + share[:, B:]
-        return ca.horzcat(*along(_add(*last.shape), last, [pushes], self.horizon - 1, backwards=True), last)
+        return ca.horzcat(*scan(_add(*last.shape), last, [pushes], self.horizon - 1, backwards=True), last)
 
     def _parts(self, s: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
         """The rows z, theta and theta_dot."""
@@ -157,24 +158,24 @@ class NetworkSweeps:
     def _tangent(self) -> ca.Function:
         """dz, slopes, what de_t takes -> dz_next."""
         dz, slopes, (given, drive) = self._symbol("dz"), self._slopes, self._given()
-        moved, _ = push(self._mlp, from_arrays(self._mlp, slopes), dz, drive)
-        return ca.Function("tangent", [dz, *slopes, *given], [self._keep(dz) + moved])
+        dy, _ = push(self._mlp, from_arrays(self._mlp, slopes), dz, drive)
+        return ca.Function("tangent", [dz, *slopes, *given], [self._keep(dz) + dy])
 
     @cached_property
     def _adjoint(self) -> ca.Function:
         """lambda_z, q_z, slopes -> lambda_z before, adjoint of a_1."""
         lam, q, slopes = self._symbol("lam"), self._symbol("q"), self._slopes
-        pulled, inner = pull(self._mlp, from_arrays(self._mlp, slopes), lam)
-        return self._backward("adjoint", [lam, q, *slopes], q + self._keep(lam) + pulled, inner)
+        by_z, inner = pull(self._mlp, from_arrays(self._mlp, slopes), lam)
+        return self._backward("adjoint", [lam, q, *slopes], q + self._keep(lam) + by_z, inner)
 
     @cached_property
     def _adjoint_tangent(self) -> ca.Function:
         """mu_z, q_z, slopes, lambda_z, dz, what de_t takes -> mu_z before, tangent of the adjoint of a_1."""
         mu, q, lam, dz = (self._symbol(name) for name in ("mu", "q", "lam", "dz"))
         slopes, (given, drive) = self._slopes, self._given()
-        pulled, inner = pull_tangent(self._mlp, from_arrays(self._mlp, slopes), lam, dz, mu, drive)
+        by_z, inner = pull_tangent(self._mlp, from_arrays(self._mlp, slopes), lam, dz, mu, drive)
         inputs = [mu, q, *slopes, lam, dz, *given]
-        return self._backward("adjoint_tangent", inputs, q + self._keep(mu) + pulled, inner)
+        return self._backward("adjoint_tangent", inputs, q + self._keep(mu) + by_z, inner)
 
     def _backward(self, name: str, inputs: list[ca.MX], before: ca.MX, inner: ca.MX) -> ca.Function:
         return ca.Function(name, inputs, [before, *(self._shares(inner) if self._wide else [inner])])

@@ -8,7 +8,6 @@ ground truth of the simulation study, z_{t+1} = keypoints(theta_{t+1}).
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import casadi as ca
@@ -17,10 +16,10 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost
-from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
-from kpirl_ocp.ocp.models.keypoint_passes import NetworkSweeps
-from kpirl_ocp.ocp.models.keypoint_points import NetworkPoints
+from kpirl_ocp.ocp.models.keypoint_dynamics import LinearisedNetwork, NetworkDynamics
+from kpirl_ocp.ocp.models.keypoint_passes import NetworkPasses
 from kpirl_ocp.ocp.models.robot import Robot
+from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
 from kpirl_ocp.ocp.problem.ocp import OCP, UNBOUNDED, Bounds, broadcast_bounds
 from kpirl_ocp.types import Array
 
@@ -100,11 +99,7 @@ def network_ocp(
         action_bounds=(-max_displacement, max_displacement),
         state_bounds=(np.hstack([-free[0], lower, -free[1]]), np.hstack([free[0], upper, free[1]])),
         schedule=schedule,
-        derivatives=replace(
-            dynamics.derivatives(n_psi),
-            sweeps=partial(NetworkSweeps, dynamics),
-            points=partial(NetworkPoints, dynamics),
-        ),
+        derivatives=DynamicsDerivatives(partial(LinearisedNetwork, dynamics), partial(NetworkPasses, dynamics)),
     )
 
 

@@ -1,7 +1,7 @@
 """The cost as a function of the actions alone, J(u) = cost(rollout(s0, u), u), with gradient and Hessian products.
 
-    dJ/du = r + f_u^T lambda                                     one rollout and one adjoint sweep
-    H du  = the tangent of dJ/du along (dS, du)                  one tangent rollout and one more adjoint sweep
+    dJ/du = r + f_u^T lambda                                     one rollout and one adjoint pass
+    H du  = the tangent of dJ/du along (dS, du)                  one tangent and one more adjoint pass
 
 The second also gives, at no further cost, d(du . dJ/du) with respect to the parameters.
 """
@@ -16,7 +16,7 @@ import casadi as ca
 
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients, TrajectoryCost
-from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout, StageSweeps, Sweeps
+from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout, TrajectoryPasses
 
 
 class Linearisation(NamedTuple):
@@ -48,23 +48,20 @@ class ReducedCost:
         object.__setattr__(self, "cost", TrajectoryCost(self.problem, self.columns))
 
     @cached_property
-    def sweeps(self) -> Sweeps:
-        """The passes along the dynamics: those that the problem brings, else stage by stage."""
-        derivatives = self.problem.dynamics_derivatives
-        if derivatives.sweeps is not None:
-            return derivatives.sweeps(self.problem.horizon, self.columns)
-        return StageSweeps(self.problem.dynamics, derivatives, self.problem.horizon, self.columns)
+    def passes(self) -> TrajectoryPasses:
+        """The passes along the dynamics."""
+        return self.problem.dynamics_derivatives.passes(self.problem.horizon, self.columns)
 
     def linearise(self, s0: ca.MX, actions: ca.MX, psi: ca.MX, theta: Coefficients) -> Linearisation:
         """Value and gradient at actions (n_u, T B)."""
-        rollout = self.sweeps.rollout(s0, actions, psi)
+        rollout = self.passes.rollout(s0, actions, psi)
         value, by_states, by_actions = self.cost.first(rollout.states, actions, theta)
-        adjoint = self.sweeps.adjoint(rollout, psi, by_states)
+        adjoint = self.passes.adjoint(rollout, psi, by_states)
         return Linearisation(value, by_actions + adjoint.by_actions, rollout, adjoint)
 
     def hessian_product(self, rollout: Rollout, memory: Memory, psi: ca.MX, theta: Coefficients, dU: ca.MX) -> Product:
         """For a direction dU (n_u, T B), at a rollout and with the memory of its adjoint."""
-        dS = self.sweeps.tangent(rollout, psi, dU)
+        dS = self.passes.tangent(rollout, psi, dU)
         by_states, by_actions, by_theta = self.cost.second(rollout.states, rollout.actions, theta, dS, dU)
-        adjoint = self.sweeps.adjoint_tangent(rollout, psi, memory, dS, dU, by_states)
+        adjoint = self.passes.adjoint_tangent(rollout, psi, memory, dS, dU, by_states)
         return Product(by_actions + adjoint.by_actions, by_theta, adjoint.by_parameters)

@@ -11,23 +11,20 @@ trajectories run side by side: the columns of an array (n, T B) are ordered by t
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
+from functools import cached_property, lru_cache
 from typing import NamedTuple, Protocol
 
 import casadi as ca
 
-from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
+from kpirl_ocp.ocp.problem.scan import scan, sum_blocks
 
 Memory = tuple[ca.MX, ...]
-"""Whatever a pass wants to hand to a later one: arrays (n, T B)."""
+"""Arrays (n, T B) that one pass keeps for a later one."""
 
 
 class Rollout(NamedTuple):
-    """States (n_s, (T+1) B), actions (n_u, T B), and what the derivatives want to know beside them."""
+    """States (n_s, (T+1) B), actions (n_u, T B), and the arrays that the other passes need beside them."""
 
     states: ca.MX
     actions: ca.MX
@@ -37,7 +34,7 @@ class Rollout(NamedTuple):
 class Adjoint(NamedTuple):
     """Costates lambda_1 .. lambda_T (n_s, T B), f_u^T lambda (n_u, T B) and sum_t f_psi^T lambda (n_psi, B).
 
-    memory: what the adjoint's tangent wants to know of the costates.
+    memory: the arrays that the adjoint's tangent needs of the costates.
     """
 
     costates: ca.MX
@@ -46,7 +43,7 @@ class Adjoint(NamedTuple):
     memory: Memory
 
 
-class Sweeps(Protocol):
+class TrajectoryPasses(Protocol):
     """The four passes as expressions; psi is (n_psi, B)."""
 
     def rollout(self, s0: ca.MX, actions: ca.MX, psi: ca.MX) -> Rollout:
@@ -62,50 +59,46 @@ class Sweeps(Protocol):
         ...
 
     def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
-        """How `adjoint` changes along (dS, dU), when its q changes by Q; `memory` is that of `adjoint`."""
+        """The change of `adjoint` along (dS, dU), when its q changes by Q; `memory` is that of `adjoint`."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
-class StageSweeps:
-    """The passes of any dynamics, from the derivatives of one stage; nothing beside the trajectory is remembered."""
+class StagePasses:
+    """The passes of any dynamics f(s, u, psi), stage by stage with CasADi's AD; see `TrajectoryPasses`."""
 
     dynamics: ca.Function
-    derivatives: DynamicsDerivatives
     horizon: int
     columns: int
 
     def rollout(self, s0: ca.MX, actions: ca.MX, psi: ca.MX) -> Rollout:
-        """See `Sweeps`."""
-        (states,) = self._along(self.dynamics, s0, actions, psi)
+        """States from s0 (n_s, B)."""
+        (states,) = self._scan(self.dynamics, s0, actions, psi)
         return Rollout(ca.horzcat(s0, states), actions, ())
 
     def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
-        """See `Sweeps`."""
+        """Changes of the states, of s_0 none."""
         zero = ca.MX.zeros(self.dynamics.size1_in(0), self.columns)
-        return ca.horzcat(zero, *self._along(self._tangent, zero, *self._points(at), psi, dU))
+        return ca.horzcat(zero, *self._scan(self._tangent, zero, *_stages(at), psi, dU))
 
     def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
-        """See `Sweeps`."""
-        return self._backwards(self._adjoint, Q, *self._points(at), psi)
+        """Costates for the slopes Q."""
+        return self._backwards(self._adjoint, Q, *_stages(at), psi)
 
     def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
-        """See `Sweeps`."""
+        """Changes of the costates along (dS, dU)."""
         direction = dS[:, : dU.size2()], dU
-        return self._backwards(self._adjoint_tangent, Q, *self._points(at), psi, *memory, *direction)
+        return self._backwards(self._adjoint_tangent, Q, *_stages(at), psi, *memory, *direction)
 
-    def _along(self, stage: ca.Function, start: ca.MX, *inputs: ca.MX, backwards: bool = False) -> list[ca.MX]:
-        return along(stage.map(self.columns), start, inputs, self.horizon, backwards)
+    def _scan(self, stage: ca.Function, start: ca.MX, *inputs: ca.MX, backwards: bool = False) -> list[ca.MX]:
+        return scan(stage.map(self.columns), start, inputs, self.horizon, backwards)
 
     def _backwards(self, stage: ca.Function, Q: ca.MX, *inputs: ca.MX) -> Adjoint:
         """Accumulate a stage (lambda, q, ...) -> lambda, f_u^T lambda, f_psi^T lambda from the last to the first."""
         B = self.columns
-        swept, by_actions, by_parameters = self._along(stage, Q[:, -B:], Q[:, :-B], *inputs, backwards=True)
-        costates = ca.horzcat(swept[:, B:], Q[:, -B:])
+        before, by_actions, by_parameters = self._scan(stage, Q[:, -B:], Q[:, :-B], *inputs, backwards=True)
+        costates = ca.horzcat(before[:, B:], Q[:, -B:])
         return Adjoint(costates, by_actions, sum_blocks(by_parameters, B), memory=(costates,))
-
-    def _points(self, at: Rollout) -> tuple[ca.MX, ca.MX]:
-        return at.states[:, : at.actions.size2()], at.actions
 
     @cached_property
     def _symbols(self) -> tuple[ca.MX, ...]:
@@ -117,70 +110,47 @@ class StageSweeps:
     @cached_property
     def _tangent(self) -> ca.Function:
         s, u, psi, _, ds, du, *_ = self._symbols
-        return ca.Function("tangent", [ds, s, u, psi, du], [self.derivatives.jvp(s, u, psi, ds, du)])
+        return ca.Function("tangent", [ds, s, u, psi, du], [_jvp(self.dynamics)(s, u, psi, ds, du)])
 
     @cached_property
     def _adjoint(self) -> ca.Function:
         s, u, psi, lam, _, _, _, q = self._symbols
-        by_s, by_u, by_psi = self.derivatives.vjp(s, u, psi, lam)
+        by_s, by_u, by_psi = _vjp(self.dynamics)(s, u, psi, lam)
         return ca.Function("adjoint", [lam, q, s, u, psi], [q + by_s, by_u, by_psi])
 
     @cached_property
     def _adjoint_tangent(self) -> ca.Function:
         s, u, psi, lam, ds, du, mu, q = self._symbols
-        pulled = ca.vertcat(*self.derivatives.vjp(s, u, psi, lam))
-        moved = ca.jtimes(pulled, ca.vertcat(s, u, lam), ca.vertcat(ds, du, mu))
-        by_s, by_u, by_psi = ca.vertsplit(moved, [0, s.numel(), s.numel() + u.numel(), moved.numel()])
+        Ft_lambda = ca.vertcat(*_vjp(self.dynamics)(s, u, psi, lam))
+        change = ca.jtimes(Ft_lambda, ca.vertcat(s, u, lam), ca.vertcat(ds, du, mu))
+        by_s, by_u, by_psi = ca.vertsplit(change, [0, s.numel(), s.numel() + u.numel(), change.numel()])
         return ca.Function("adjoint_tangent", [mu, q, s, u, psi, lam, ds, du], [q + by_s, by_u, by_psi])
 
 
-def reverse(array: ca.MX, width: int) -> ca.MX:
-    """The blocks of `width` columns in opposite order."""
-    if width == 1:
-        return array[:, ::-1]
-    return ca.horzcat(*reversed(ca.horzsplit(array, width)))
+def _stages(at: Rollout) -> tuple[ca.MX, ca.MX]:
+    """States and actions of the stages t < T."""
+    return at.states[:, : at.actions.size2()], at.actions
 
 
-def sum_blocks(array: ca.MX, width: int) -> ca.MX:
-    """The sum of all blocks of `width` columns."""
-    rows = array.size1()
-    return ca.reshape(ca.sum2(ca.reshape(array, rows * width, array.size2() // width)), rows, width)
+@lru_cache(maxsize=64)
+def _jvp(dynamics: ca.Function) -> ca.Function:
+    """(s, u, psi, ds, du) -> f_s ds + f_u du (n_s,)."""
+    s, u, psi = _symbols_of(dynamics)
+    ds, du = type(s).sym("ds", s.numel()), type(s).sym("du", u.numel())
+    value = dynamics(s, u, psi)
+    return ca.Function("jvp", [s, u, psi, ds, du], [ca.jtimes(value, s, ds) + ca.jtimes(value, u, du)])
 
 
-def along(
-    stage: ca.Function, start: ca.MX, inputs: Sequence[ca.MX], steps: int, backwards: bool = False
-) -> list[ca.MX]:
-    """Carry the first output of a stage to its first input, from the first to the last block or from the last on.
-
-    Inputs and outputs (n, T B) are ordered by time either way; an input (n, B) is the same at every step. What
-    `mapaccum` does, but with a single copy. Many steps are taken in groups, with a copy more: compilers take more than
-    twice the time for a function of twice the length.
-    """
-    size = 1 if steps <= _ALONE else math.isqrt(steps)
-    ends = [*range(0, steps, size), steps]
-    lengths = [end - begin for begin, end in pairwise(ends)]
-    same = [array.size2() == start.size2() for array in inputs]
-    groups = {length: stage if size == 1 else _group(stage, length, backwards, same) for length in lengths}
-    blocks = [
-        [array] * len(lengths) if alike else ca.horzsplit(array, [end * (array.size2() // steps) for end in ends])
-        for array, alike in zip(inputs, same, strict=True)
-    ]
-    rows: list[list[ca.MX]] = [[] for _ in lengths]
-    for i in reversed(range(len(lengths))) if backwards else range(len(lengths)):
-        outputs = groups[lengths[i]].call([start, *(block[i] for block in blocks)])
-        start, rows[i] = outputs[0], outputs if size == 1 else outputs[1:]
-    return [ca.horzcat(*column) for column in zip(*rows, strict=True)]
+@lru_cache(maxsize=64)
+def _vjp(dynamics: ca.Function) -> ca.Function:
+    """(s, u, psi, lambda) -> f_s^T lambda (n_s,), f_u^T lambda (n_u,), f_psi^T lambda (n_psi,)."""
+    s, u, psi = _symbols_of(dynamics)
+    lam = type(s).sym("lam", s.numel())
+    pairing = ca.dot(lam, dynamics(s, u, psi))
+    return ca.Function("vjp", [s, u, psi, lam], [ca.gradient(pairing, x) for x in (s, u, psi)])
 
 
-def _group(stage: ca.Function, length: int, backwards: bool, same: Sequence[bool]) -> ca.Function:
-    """Some steps: (carried, inputs as for `along`) -> what is carried on, and all outputs side by side."""
-    start, *inputs = stage.mx_in()
-    widths = [array.size2() * (1 if alike else length) for array, alike in zip(inputs, same, strict=True)]
-    wide = [ca.MX.sym("x", array.size1(), width) for array, width in zip(inputs, widths, strict=True)]
-    outputs = along(stage, start, wide, length, backwards)
-    width = start.size2()
-    carried = outputs[0][:, :width] if backwards else outputs[0][:, -width:]
-    return ca.Function("group", [start, *wide], [carried, *outputs])
-
-
-_ALONE = 32  # so many steps, and no more, are written out one by one
+def _symbols_of(dynamics: ca.Function) -> list[ca.SX | ca.MX]:
+    """s, u and psi: scalar graphs (SX) where the dynamics are one."""
+    kind = ca.SX if dynamics.is_a("SXFunction") else ca.MX
+    return [kind.sym(name, dynamics.size1_in(i)) for i, name in enumerate(("s", "u", "psi"))]

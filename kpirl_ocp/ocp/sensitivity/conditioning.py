@@ -25,7 +25,7 @@ from kpirl_ocp.ocp.linear.lanczos import lanczos, magnitude, outermost
 from kpirl_ocp.ocp.linear.riccati_recursion import condense, factor_symbols
 from kpirl_ocp.ocp.linear.stage_operators import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.trajectory_passes import along
+from kpirl_ocp.ocp.problem.scan import scan
 
 PRODUCTS = 5  # of a Lanczos process; more take another start
 _FIRST_DIGITS = 3  # of them, where the first digits are enough
@@ -106,7 +106,7 @@ def row_variances(problem: OCP) -> ca.Function:
     after = F_t @ of_x @ F_t.T
     path = ca.sum2((G_t @ of_x) * G_t) if n_h else ca.MX(0, 1)
     stage = ca.Function("variances", [S, F_t, G_t], [after, ca.diag(of_x), ca.densify(path)])
-    after, diagonals, path = along(stage, ca.MX.zeros(n_s, n_s), [F, G], steps)
+    after, diagonals, path = scan(stage, ca.MX.zeros(n_s, n_s), [F, G], steps)
     of_w = flat(problem, diagonals, ca.diag(after[:, -n_s:]))
     B = bound_columns(problem)
     return ca.Function("row_variances", [F, G], [ca.densify(ca.vertcat((B * B).T @ of_w, ca.vec(path)))])
@@ -115,8 +115,8 @@ def row_variances(problem: OCP) -> ca.Function:
 def _inverse(problem: OCP, F: ca.MX, parts: list[ca.MX], right: ca.MX) -> ca.MX:
     """w (n_w,) of the factorised system for (r, 0): `substitute` without defects and without costates."""
     q, last = by_stage(problem, -right)
-    _, v = along(_backward(problem), last, [F, *parts, q], problem.horizon, backwards=True)
-    states, actions = along(_forward(problem), ca.MX.zeros(problem.n_states), [F, *parts, v], problem.horizon)
+    _, v = scan(_backward(problem), last, [F, *parts, q], problem.horizon, backwards=True)
+    states, actions = scan(_forward(problem), ca.MX.zeros(problem.n_states), [F, *parts, v], problem.horizon)
     return ca.vertcat(ca.vec(states), ca.vec(actions))
 
 

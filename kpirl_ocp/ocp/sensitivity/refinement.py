@@ -175,7 +175,7 @@ def _left(problem: OCP, operator: Operator, sigma: ca.MX, active: ca.MX, right: 
     product, last = operator.balance(x, end, ca.reshape(point.costates, n_s, steps), path)
     balance = flat(problem, product, last) + bound_columns(problem) @ bounds
     balance[: n_s * steps] -= point.costates
-    arrived = ca.vec(operator.moved(x)) - point.w[: n_s * steps]
+    arrived = ca.vec(operator.F_times(x)) - point.w[: n_s * steps]
     return _Triple(right.w - balance, right.costates - arrived, active * (right.forces - values))
 
 

@@ -1,0 +1,61 @@
+"""Recursions over time as expressions: a stage carried forwards or backwards over blocks of columns.
+
+B trajectories run side by side: the columns of an array (n, T B) are ordered by time, then by trajectory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import casadi as ca
+
+_WRITTEN_OUT = 32  # so many steps, and no more, are written out one by one
+
+
+def scan(stage: ca.Function, start: ca.MX, inputs: Sequence[ca.MX], steps: int, backwards: bool = False) -> list[ca.MX]:
+    """Carry the first output of a stage to its first input, from the first to the last block or from the last on.
+
+    Inputs and outputs (n, T B) are ordered by time either way; an input (n, B) is the same at every step. What
+    `mapaccum` does, but with a single copy. Many steps are taken in groups, with a copy more: compilers take more than
+    twice the time for a function of twice the length.
+    """
+    size = 1 if steps <= _WRITTEN_OUT else math.isqrt(steps)
+    ends = [*range(0, steps, size), steps]
+    lengths = [end - begin for begin, end in pairwise(ends)]
+    same = [array.size2() == start.size2() for array in inputs]
+    groups = {length: stage if size == 1 else _group(stage, length, backwards, same) for length in lengths}
+    blocks = [
+        [array] * len(lengths) if alike else ca.horzsplit(array, [end * (array.size2() // steps) for end in ends])
+        for array, alike in zip(inputs, same, strict=True)
+    ]
+    rows: list[list[ca.MX]] = [[] for _ in lengths]
+    for i in reversed(range(len(lengths))) if backwards else range(len(lengths)):
+        outputs = groups[lengths[i]].call([start, *(block[i] for block in blocks)])
+        start, rows[i] = outputs[0], outputs if size == 1 else outputs[1:]
+    return [ca.horzcat(*column) for column in zip(*rows, strict=True)]
+
+
+def _group(stage: ca.Function, length: int, backwards: bool, same: Sequence[bool]) -> ca.Function:
+    """Some steps: (carried, inputs as for `scan`) -> what is carried on, and all outputs side by side."""
+    start, *inputs = stage.mx_in()
+    widths = [array.size2() * (1 if alike else length) for array, alike in zip(inputs, same, strict=True)]
+    wide = [ca.MX.sym("x", array.size1(), width) for array, width in zip(inputs, widths, strict=True)]
+    outputs = scan(stage, start, wide, length, backwards)
+    width = start.size2()
+    carried = outputs[0][:, :width] if backwards else outputs[0][:, -width:]
+    return ca.Function("group", [start, *wide], [carried, *outputs])
+
+
+def reverse(array: ca.MX, width: int) -> ca.MX:
+    """The blocks of `width` columns in opposite order."""
+    if width == 1:
+        return array[:, ::-1]
+    return ca.horzcat(*reversed(ca.horzsplit(array, width)))
+
+
+def sum_blocks(array: ca.MX, width: int) -> ca.MX:
+    """The sum of all blocks of `width` columns."""
+    rows = array.size1()
+    return ca.reshape(ca.sum2(ca.reshape(array, rows * width, array.size2() // width)), rows, width)
