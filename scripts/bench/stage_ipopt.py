@@ -10,7 +10,7 @@ import numpy as np
 
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.conditions.nlp import pack, transcribe, unpack
-from kpirl_ocp.ocp.problem.linearised_dynamics import depends_on_psi
+from kpirl_ocp.ocp.conditions.stage_derivatives import dynamics_jacobian, dynamics_second
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Trajectory
 
@@ -54,29 +54,17 @@ def _functions(problem: OCP) -> tuple[dict[str, ca.MX], dict[str, ca.Function]]:
     weight, costates = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", steps * n_s)
 
     before, wide = states[:, :steps], ca.repmat(psi, 1, steps)
-    jacobian, hessian = _stage(problem)
-    by_state, by_action = jacobian.map(steps)(before, actions, wide)
-    curvature = hessian.map(steps)(before, actions, wide, ca.reshape(costates, n_s, steps))
+    by_state, by_action = dynamics_jacobian(problem).map(steps)(before, actions, wide)
+    *_, curvature = dynamics_second(problem).map(steps)(before, actions, wide, ca.reshape(costates, n_s, steps))
     cost = problem.cost(states, actions, psi, context)
-    lagrangian = ca.triu(weight * ca.hessian(cost, w)[0] + _curvature(problem, curvature))
+    hessian = ca.triu(weight * ca.hessian(cost, w)[0] + _curvature(problem, curvature))
     functions = {
         "grad_f": ([w, p], [objective, ca.gradient(cost, w)]),
         "jac_g": ([w, p], [defects, _jacobian(problem, by_state, by_action)]),
-        "hess_lag": ([w, p, weight, costates], [lagrangian]),
+        "hess_lag": ([w, p, weight, costates], [hessian]),
     }
     built = {name: compiled(ca.Function(name, *ends)) for name, ends in functions.items()}
     return {"x": w, "p": p, "f": objective, "g": defects}, built
-
-
-def _stage(problem: OCP) -> tuple[ca.Function, ca.Function]:
-    """(s, u, psi) -> f_s, f_u; and (s, u, psi, lambda) -> second derivative of lambda . f."""
-    n_s = problem.n_states
-    sizes = {"s": n_s, "u": problem.n_actions, "psi": problem.n_parameters, "lam": n_s}
-    s, u, psi, lam = (ca.MX.sym(name, size) for name, size in sizes.items())
-    given = psi if depends_on_psi(problem.dynamics) else ca.MX(0, 1)
-    function, arguments = problem.dynamics_derivatives.linearise(s, u, given, lam).second()
-    _, F, H = function.call(arguments, True, False)
-    return ca.Function("jacobian", [s, u, psi], [F[:, :n_s], F[:, n_s:]]), ca.Function("hessian", [s, u, psi, lam], [H])
 
 
 def _jacobian(problem: OCP, by_state: ca.MX, by_action: ca.MX) -> ca.MX:

@@ -10,13 +10,14 @@ from __future__ import annotations
 import numpy as np
 
 from kpirl_ocp.irl.identifiability.plan_jacobian import observation_jacobians
+from kpirl_ocp.ocp.conditions.stage_derivatives import dynamics_jacobian
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Trajectory
 
 
 def squared_gains(problem: OCP, trajectory: Trajectory, psi: Array) -> Array:
     """(T, n_z): sum over all actions of (dz_t,i/du)^2 along a trajectory, t = 1 .. T."""
-    linearised = problem.dynamics_derivatives.jacobian.map(problem.horizon)
+    linearised = dynamics_jacobian(problem).map(problem.horizon)
     repeated = np.tile(psi[:, None], problem.horizon)
     blocks = linearised(trajectory.states[:-1].T, trajectory.actions.T, repeated)
     by_state, by_action = (np.split(np.array(block), problem.horizon, axis=1) for block in blocks)

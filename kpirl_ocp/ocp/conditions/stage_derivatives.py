@@ -77,6 +77,26 @@ def linearise_dynamics(problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, 
     return problem.dynamics_derivatives.linearise(*at)
 
 
+@lru_cache(maxsize=64)
+def dynamics_second(problem: OCP) -> ca.Function:
+    """Of one stage: (s, u, psi, lambda) -> f_s (n_s, n_s), f_u (n_s, n_u), (lambda . f)'' (n_x, n_x)."""
+    n_s = problem.n_states
+    sizes = {"s": n_s, "u": problem.n_actions, "psi": problem.n_parameters, "lambda": n_s}
+    s, u, psi, costate = at = [ca.MX.sym(name, size) for name, size in sizes.items()]
+    given = psi if depends_on_psi(problem.dynamics) else ca.MX(0, 1)
+    function, arguments = problem.dynamics_derivatives.linearise(s, u, given, costate).second()
+    _, F, H = function.call(arguments, True, False)
+    return ca.Function("dynamics_second", at, [F[:, :n_s], F[:, n_s:], H])
+
+
+@lru_cache(maxsize=64)
+def dynamics_jacobian(problem: OCP) -> ca.Function:
+    """Of one stage: (s, u, psi) -> f_s (n_s, n_s), f_u (n_s, n_u)."""
+    *at, costate = dynamics_second(problem).mx_in()
+    by_s, by_u, _ = dynamics_second(problem).call([*at, ca.MX.zeros(costate.shape)], True, False)
+    return ca.Function("dynamics_jacobian", at, [by_s, by_u])
+
+
 def by_time(problem: OCP, x: Array, last: Array) -> Array:
     """Columns x_t (n_x, T), flat, and s_T (n_s,) as one vector (s_0, .. s_T, u_0 .. u_{T-1})."""
     columns = x.reshape(problem.horizon, -1)
