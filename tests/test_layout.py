@@ -8,16 +8,11 @@ KNOWN = {
     "circle of C files: kpirl_mpc, kpirl_mpc_memory",
     "circle of C files: kpirl_mpc_filter, kpirl_mpc_riccati",
     "circle of modules: ocp.export.exported_solver, ocp.export.folder, ocp.export.resident, ocp.export.riccati, "
-    "ocp.export.targets, ocp.sensitivity.factorisation, ocp.sensitivity.implicit_function, "
-    "ocp.sensitivity.kkt_system, ocp.solvers.riccati",
-    "circle of rooms: ocp.conditions, ocp.linear",
-    "circle of rooms: ocp.export, ocp.sensitivity, ocp.solvers",
+    "ocp.export.targets, ocp.solvers.riccati",
+    "circle of rooms: ocp.export, ocp.solvers",
     "circle of rooms: perception.data, perception.detector, perception.scene",
     "irl/comparison.py is in no room",
     "irl/study.py is in no room",
-    "ocp.linear.kkt_operators -> ocp.conditions.nlp",
-    "ocp.sensitivity.kkt_system -> ocp.export.resident",
-    "ocp.sensitivity.kkt_system imports ocp.export.resident inside a function",
     "ocp.solvers.riccati -> ocp.export.resident",
     "ocp.solvers.riccati imports ocp.export.resident inside a function",
     "ocp/export/c/kpirl_mpc.c has more than 300 lines",

@@ -12,7 +12,7 @@ from kpirl_ocp.ocp.codegen.numpy_calls import Call, call
 from kpirl_ocp.ocp.conditions import stage_derivatives as stages
 from kpirl_ocp.ocp.conditions.hessian_products import Lagrangian, lagrangian_symbols
 from kpirl_ocp.ocp.conditions.nlp import transcribe
-from kpirl_ocp.ocp.linear.kkt_operators import flat
+from kpirl_ocp.ocp.linear.stage_operators import flat
 from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedByStage
 from kpirl_ocp.ocp.sensitivity import conditioning as kkt_spectra
 from kpirl_ocp.ocp.sensitivity import refinement as kkt_solves

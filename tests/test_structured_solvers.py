@@ -17,7 +17,8 @@ from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.conditions.nlp import audit
 from kpirl_ocp.ocp.conditions.stage_derivatives import second
-from kpirl_ocp.ocp.export.resident import _resident, latest, resident
+from kpirl_ocp.ocp.export.resident import _resident, resident
+from kpirl_ocp.ocp.problem.solver import solve_and_linearise
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, primal_dual
 from kpirl_ocp.ocp.solvers.riccati import _Run
 
@@ -250,24 +251,28 @@ def test_machine_code_takes_the_steps_of_the_python_driver(name, machine_code):
 
 
 @pytest.mark.parametrize("name", ["integrator", "tanh network"])
-def test_second_derivatives_where_a_solve_ended_are_known_and_nowhere_else(name, machine_code):
+def test_second_derivatives_are_handed_over_where_a_solve_ended_with_them(name, machine_code):
     problem, *given_here = given(name)
     s0, psi, context = problem.inputs(*given_here)
-    found = Riccati().solve(problem, s0, psi, context)
+    found, derivatives = Riccati().solve_and_linearise(problem, s0, psi, context)
+    np.testing.assert_array_equal(found.actions, Riccati().solve(problem, s0, psi, context).actions)
     instance = Instance(problem, s0, psi, context)
     arguments = instance.arguments(primal_dual(instance, found))
-    machine = latest(problem)
     _, defects, path, _, _, *others = call(problem, second)(*arguments)
-    for one, other in zip(machine.second(*arguments), [defects, path, *others], strict=True):
+    for one, other in zip(derivatives, [defects, path, *others], strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-13 * max(1.0, np.abs(other).max(initial=0.0)))
-    for i in range(5):  # the integrator alone has path constraints
-        elsewhere = [argument + 1e-15 if i == j else argument for j, argument in enumerate(arguments)]
-        known = machine.second(*elsewhere)
-        assert (known is None) == any(not np.array_equal(*pair) for pair in zip(elsewhere, arguments, strict=True))
-    Riccati(steps=1).solve(problem, s0, psi, context, guess=found)
-    assert machine.second(*arguments) is None
-    with ThreadPoolExecutor(1) as pool:
-        assert pool.submit(latest, problem).result() is None
+    kept = [part.copy() for part in derivatives]
+    assert Riccati(steps=1).solve_and_linearise(problem, s0, psi, context, guess=found)[1] is None
+    for one, other in zip(derivatives, kept, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_solvers_that_end_without_second_derivatives_hand_over_none():
+    problem, *numbers = given("lqr")
+    for solver in (Riccati(), Ipopt()):  # too small for machine code; another solver
+        found, derivatives = solve_and_linearise(solver, problem, *numbers)
+        assert found.status is Status.CONVERGED
+        assert derivatives is None
 
 
 def test_problems_too_small_for_the_compiler_or_too_large_for_the_stack_are_solved_by_python(machine_code, monkeypatch):

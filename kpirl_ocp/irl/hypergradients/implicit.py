@@ -32,7 +32,7 @@ from kpirl_ocp.irl.hypergradients.certificate import (
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver
+from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import Response
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, linearise, primal_dual
@@ -113,20 +113,29 @@ class Implicit:
         solver: Solver = self.solver
         if self.policy == "smooth" and isinstance(solver, BarrierSolver):
             solver = solver.with_barrier(self.barrier)
-        solution = solver.solve(problem, demonstration.s0, psi, demonstration.context, guess)
-        return enforce(self.policy, differentiate(problem, demonstration, psi, solution, self.loss))
+        numbers = demonstration.s0, psi, demonstration.context
+        solution, derivatives = solve_and_linearise(solver, problem, *numbers, guess)
+        return enforce(self.policy, differentiate(problem, demonstration, psi, solution, self.loss, derivatives))
 
 
 def differentiate(
-    problem: OCP, demonstration: Demonstration, psi: ArrayLike, solution: Solution, loss: Loss = squared_distance
+    problem: OCP,
+    demonstration: Demonstration,
+    psi: ArrayLike,
+    solution: Solution,
+    loss: Loss = squared_distance,
+    derivatives: StageDerivatives | None = None,
 ) -> HypergradientResult:
-    """Loss, implicit gradient and certificate at a solution that any solver found; read the certificate."""
+    """Loss, implicit gradient and certificate at a solution that any solver found; read the certificate.
+
+    derivatives: at the solution, where the solver ended with them.
+    """
     s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
     evaluate = call(problem, _loss_and_slope(loss))
     (value,), slope = evaluate(solution.states, solution.actions, seen(problem, demonstration).T)
     value = float(value)
     instance = Instance(problem, s0, psi, context, solution.barrier)
-    system = linearise(instance, primal_dual(instance, solution))
+    system = linearise(instance, primal_dual(instance, solution), derivatives=derivatives)
     if not system.finite or not np.isfinite(slope).all():
         return _undefined(value, len(psi), solution, system.active)
 

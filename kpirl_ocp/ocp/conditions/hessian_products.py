@@ -22,8 +22,7 @@ from kpirl_ocp.ocp.conditions.stage_derivatives import (
     stage_gradient,
     symbols,
 )
-from kpirl_ocp.ocp.linear.kkt_operators import flat, len_x, matrices
-from kpirl_ocp.ocp.linear.stage_operators import by_stage, path_product
+from kpirl_ocp.ocp.linear.stage_operators import by_stage, flat, len_x, matrices, path_product
 from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedDynamics
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients, TrajectoryCost

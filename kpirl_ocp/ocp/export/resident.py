@@ -67,7 +67,6 @@ class Resident:
         status = self._library.kpirl_mpc_solve(controller, ctypes.byref(given), start, ctypes.byref(found))
         if status < 0:
             return None
-        self._thread.parameters, _latest.resident = (psi.copy(), context.copy()), self
         arrays = [views[name].copy() for name in GUESS]
         return Solution(
             trajectory=Trajectory(*arrays[:2]),
@@ -79,17 +78,10 @@ class Resident:
             barrier=solver.barrier,
         )
 
-    def second(self, *arguments: Array) -> list[Array] | None:
-        """What `stages.second` gives for these arguments if the last solve of this thread ended with them, else None.
-
-        The cost and its gradient are not among it.
-        """
+    def derivatives(self) -> list[Array] | None:
+        """The `StageDerivatives` where the last solve of this thread ended; None if it did without them there."""
         here = self._thread
-        states, actions, psi, context, costates, forces = arguments
-        known = zip((*here.at, *here.parameters), (states, actions, costates, forces, psi, context), strict=True)
-        if not self._library.kpirl_mpc_known(here.controller, *here.pointers) or not all(
-            np.array_equal(one, other) for one, other in known
-        ):
+        if not self._library.kpirl_mpc_known(here.controller, *here.pointers):
             return None
         return [part.copy() for part in here.second]
 
@@ -115,15 +107,6 @@ class Resident:
             name: np.ctypeslib.as_array(getattr(here.solution, name))[: rows * columns].reshape(rows, columns)
             for name, (rows, columns) in self._structures.shapes.items()
         }
-
-
-_latest = threading.local()
-
-
-def latest(problem: OCP) -> Resident | None:
-    """The compiled solver that solved last in this thread, if it was for this problem."""
-    found: Resident | None = getattr(_latest, "resident", None)
-    return found if found is not None and found.problem is problem else None
 
 
 def _memory(address: int, size: int) -> Array:

@@ -44,3 +44,21 @@ def by_stage(problem: OCP, w: ca.MX) -> tuple[ca.MX, ca.MX]:
     steps, n_s = problem.horizon, problem.n_states
     states = ca.horzcat(ca.MX.zeros(n_s, 1), ca.reshape(w[: steps * n_s], n_s, steps))
     return ca.vertcat(states[:, :steps], ca.reshape(w[steps * n_s :], problem.n_actions, steps)), states[:, steps]
+
+
+def flat(problem: OCP, x: ca.MX, last: ca.MX) -> ca.MX:
+    """w (n_w,) of x_t (n_x, T), of which s_0 is dropped, and s_T (n_s,)."""
+    n_s = problem.n_states
+    return ca.vertcat(ca.vec(x[:n_s, 1:]), last, ca.vec(x[n_s:, :]))
+
+
+def matrices(problem: OCP) -> list[ca.MX]:
+    """Symbols for F, G, H and H_T."""
+    n_s, n_x, steps = problem.n_states, len_x(problem), problem.horizon
+    shapes = {"F": (n_s, n_x * steps), "G": (problem.n_path, n_x * steps), "H": (n_x, n_x * steps), "H_T": (n_s, n_s)}
+    return [ca.MX.sym(name, *shape) for name, shape in shapes.items()]
+
+
+def len_x(problem: OCP) -> int:
+    """n_x = n_s + n_u."""
+    return problem.n_states + problem.n_actions

@@ -1,8 +1,9 @@
-"""What every solver of the toolkit offers."""
+"""The interface of solvers."""
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Sequence
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +12,9 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Solution, Trajectory
 
 Guess = Solution | Trajectory | None
+
+StageDerivatives: TypeAlias = Sequence[Array]
+"""defects, h, r, r_T, F, G, H and H_T of `conditions.stage_derivatives.second` at a solution, flat."""
 
 
 class Solver(Protocol):
@@ -36,6 +40,26 @@ class BarrierSolver(Solver, Protocol):
     def with_barrier(self, barrier: float) -> BarrierSolver:
         """The same solver for the problem smoothed with tau = barrier > 0."""
         ...
+
+
+@runtime_checkable
+class LinearisingSolver(Solver, Protocol):
+    """A solver that ends with the derivatives with which the sensitivity of its solution begins."""
+
+    def solve_and_linearise(
+        self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
+    ) -> tuple[Solution, StageDerivatives | None]:
+        """`solve`, and the derivatives at the solution; None where they are not at hand."""
+        ...
+
+
+def solve_and_linearise(
+    solver: Solver, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
+) -> tuple[Solution, StageDerivatives | None]:
+    """The same with any solver."""
+    if isinstance(solver, LinearisingSolver):
+        return solver.solve_and_linearise(problem, s0, psi, context, guess)
+    return solver.solve(problem, s0, psi, context, guess), None
 
 
 def guess_actions(problem: OCP, guess: Guess) -> Array:

@@ -20,6 +20,7 @@ from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.conditions.nlp import NLP, Inequalities, bounded_entries, pack, transcribe
 from kpirl_ocp.ocp.conditions.stage_derivatives import by_time, second
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import StageDerivatives
 from kpirl_ocp.types import Array, Mask, Solution
 
 
@@ -175,10 +176,21 @@ def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
     return PrimalDual(w, solution.multipliers.dynamics.ravel(), rows.forces(solution.multipliers, solution.barrier))
 
 
-def linearise(instance: Instance, point: PrimalDual, active: Mask | None = None) -> KKTSystem:
-    """Evaluate the KKT system at a point for an active set, by default the one that the point suggests."""
+def linearise(
+    instance: Instance,
+    point: PrimalDual,
+    active: Mask | None = None,
+    derivatives: StageDerivatives | None = None,
+) -> KKTSystem:
+    """Evaluate the KKT system at a point for an active set, by default the one that the point suggests.
+
+    derivatives: at that point, where a solver ended with them.
+    """
     problem = instance.problem
-    defects, path, r, r_last, F, G, H, H_last = _second(problem, *instance.arguments(point))
+    if derivatives is None:
+        _, defects, path, _, _, *others = call(problem, second)(*instance.arguments(point))
+        derivatives = [defects, path, *others]
+    defects, path, r, r_last, F, G, H, H_last = derivatives
     steps, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
     G = G.reshape(steps, n_x, problem.n_path)
     rows = Inequalities.at(instance.nlp, point.w, path)
@@ -200,18 +212,6 @@ def linearise(instance: Instance, point: PrimalDual, active: Mask | None = None)
         equal=rows.equal,
         stiffness=stiffness,
     )
-
-
-def _second(problem: OCP, *arguments: Array) -> list[Array]:
-    """`stages.second` without the cost and its gradient; known where a solve in machine code ended just there."""
-    from kpirl_ocp.ocp.export.resident import latest  # which exports the solver that this differentiates
-
-    machine = latest(problem)
-    known = machine.second(*arguments) if machine else None
-    if known is None:
-        _, defects, path, _, _, *others = call(problem, second)(*arguments)
-        known = [defects, path, *others]
-    return known
 
 
 def _active(instance: Instance, rows: Inequalities, forces: Array) -> Mask:

@@ -16,20 +16,8 @@ import numpy as np
 
 from kpirl_ocp.ocp.conditions.hessian_products import Lagrangian, lagrangian_symbols
 from kpirl_ocp.ocp.conditions.nlp import transcribe
-from kpirl_ocp.ocp.linear.kkt_operators import (
-    Operator,
-    Stored,
-    bound_columns,
-    flat,
-    matrices,
-    n_rows,
-    rows,
-    split,
-    stiffened,
-    transposed_rows,
-)
 from kpirl_ocp.ocp.linear.riccati_recursion import factor_symbols, substitute
-from kpirl_ocp.ocp.linear.stage_operators import by_stage
+from kpirl_ocp.ocp.linear.stage_operators import by_stage, flat, matrices
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.conditioning import (
     condensed_scale,
@@ -37,6 +25,16 @@ from kpirl_ocp.ocp.sensitivity.conditioning import (
     inverse_spectrum,
     largest_inverse,
     row_variances,
+)
+from kpirl_ocp.ocp.sensitivity.kkt_operators import (
+    Operator,
+    Stored,
+    bound_columns,
+    n_rows,
+    rows,
+    split,
+    stiffened,
+    transposed_rows,
 )
 
 DELTA = 1e-8  # balances the rounding of the recursion, 1e-16 / DELTA, against the rate of the refinement

@@ -19,7 +19,7 @@ from kpirl_ocp.ocp.conditions.nlp import largest
 from kpirl_ocp.ocp.interior_point.filter import Filter
 from kpirl_ocp.ocp.interior_point.iterate import Derivatives, Iterate, Newton, Step, shortened
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives
 from kpirl_ocp.types import Array, KKTResiduals, Solution, Status, Trajectory
 
 _START = 0.3  # barrier parameter of a cold start, relative to the gradient of the objective there
@@ -70,6 +70,19 @@ class Riccati:
         machine = resident(problem, self.max_iterations)
         found = machine.solve(self, *numbers, guess) if machine else None
         return found or self.solve_in_python(problem, *numbers, guess)
+
+    def solve_and_linearise(
+        self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
+    ) -> tuple[Solution, StageDerivatives | None]:
+        """`solve`, and the second derivatives that it ended with; see `LinearisingSolver`."""
+        from kpirl_ocp.ocp.export.resident import resident
+
+        numbers = problem.inputs(s0, psi, context)
+        machine = resident(problem, self.max_iterations)
+        found = machine.solve(self, *numbers, guess) if machine else None
+        if machine is None or found is None:
+            return self.solve_in_python(problem, *numbers, guess), None
+        return found, machine.derivatives()
 
     def solve_in_python(self, problem: OCP, s0: Array, psi: Array, context: Array, guess: Guess = None) -> Solution:
         """The same, one numpy array after the other; only derivatives and Newton steps are compiled functions."""

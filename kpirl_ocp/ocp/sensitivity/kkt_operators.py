@@ -13,7 +13,7 @@ import casadi as ca
 
 from kpirl_ocp.ocp.conditions.nlp import bounded_entries
 from kpirl_ocp.ocp.linear.riccati_recursion import factorise
-from kpirl_ocp.ocp.linear.stage_operators import by_stage, path_product, selection, stiffen_stage
+from kpirl_ocp.ocp.linear.stage_operators import by_stage, flat, len_x, path_product, selection, stiffen_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 
 
@@ -63,13 +63,6 @@ class Stored:
         return path_product(self.problem.n_states, len_x(self.problem)).map(self.problem.horizon)(self.F, x)
 
 
-def matrices(problem: OCP) -> list[ca.MX]:
-    """Symbols for F, G, H and H_T."""
-    n_s, n_x, steps = problem.n_states, len_x(problem), problem.horizon
-    shapes = {"F": (n_s, n_x * steps), "G": (problem.n_path, n_x * steps), "H": (n_x, n_x * steps), "H_T": (n_s, n_s)}
-    return [ca.MX.sym(name, *shape) for name, shape in shapes.items()]
-
-
 def stiffened(problem: OCP, F: ca.MX, G: ca.MX, H: ca.MX, last: ca.MX, weights: ca.MX) -> list[ca.MX]:
     """`factorise` of H + rows' weights rows; H of all stages, or (n_x, n_x) the same for all."""
     n_x, n_h, steps = len_x(problem), problem.n_path, problem.horizon
@@ -102,12 +95,6 @@ def pull_path(problem: OCP, G: ca.MX, forces: ca.MX) -> ca.MX:
     return ca.Function("pull", [G_t, force], [(force.T @ G_t).T]).map(problem.horizon)(G, forces)
 
 
-def flat(problem: OCP, x: ca.MX, last: ca.MX) -> ca.MX:
-    """w (n_w,) of x_t (n_x, T), of which s_0 is dropped, and s_T (n_s,)."""
-    n_s = problem.n_states
-    return ca.vertcat(ca.vec(x[:n_s, 1:]), last, ca.vec(x[n_s:, :]))
-
-
 def split(problem: OCP, values: ca.MX) -> tuple[ca.MX, ca.MX]:
     """Of the bounds (n_bounds,), and of the path constraints (n_h, T)."""
     bounds, path = ca.vertsplit(values, [0, len(bounded_entries(problem)[0]), values.numel()])
@@ -122,8 +109,3 @@ def bound_columns(problem: OCP) -> ca.DM:
 def n_rows(problem: OCP) -> int:
     """The number of inequalities."""
     return len(bounded_entries(problem)[0]) + problem.horizon * problem.n_path
-
-
-def len_x(problem: OCP) -> int:
-    """n_x = n_s + n_u."""
-    return problem.n_states + problem.n_actions
