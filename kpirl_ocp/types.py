@@ -54,6 +54,19 @@ class Demonstration:
             object.__setattr__(self, name, value)
 
 
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """One look of a robot: detected keypoints and measured joints at the same moment.
+
+    keypoints: (K, 3), x and y [half an image] and the confidence mu in [0, 1].
+    joints: (n_joints,) [rad]. velocities: (n_joints,) [rad/s].
+    """
+
+    keypoints: Array
+    joints: Array
+    velocities: Array
+
+
 class Status(Enum):
     """How a solve ended; the value is the remedy."""
 

@@ -8,11 +8,11 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
+from experiments.comparison import Measurement, learn_with_each, measure_all, methods, reference
 from tqdm import tqdm
 
 from kpirl_ocp import figures
 from kpirl_ocp.irl.cases.examples import CASES, free
-from kpirl_ocp.irl.comparison import Measurement, learn_with_each, measure_all, methods, reference
 from kpirl_ocp.irl.learning.learn import LearningResult
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 

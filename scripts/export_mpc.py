@@ -8,11 +8,10 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from bench.problem import trained_network
-
 from kpirl_ocp import OCP, GradientDescent, Riccati, Robot
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
+from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.ocp.export import export_c
 from kpirl_ocp.ocp.problem.ocp import UNBOUNDED
@@ -43,7 +42,7 @@ def parse() -> argparse.Namespace:
 
 def network(horizon: int, seed: int) -> tuple[OCP, Array, list[tuple[Array, Array]]]:
     """The placing problem with random weights, and starts with goals within its training data."""
-    data = trained_network(horizon, steps=20, count=EXAMPLES, seed=seed)
+    data = placing_case(horizon, steps=20, count=EXAMPLES, seed=seed)
     return data.bounded, data.psi.ravel(), list(zip(data.s0, data.goal, strict=True))
 
 

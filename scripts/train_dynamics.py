@@ -12,8 +12,8 @@ import torch
 
 from kpirl_ocp import figures
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.perception.data.clips import detect_tracks
 from kpirl_ocp.perception.detector.detector import KeypointDetector
+from kpirl_ocp.perception.detector.tracks import detect_tracks
 from kpirl_ocp.perception.dynamics.model import ACTIVATIONS
 from kpirl_ocp.perception.dynamics.training import DynamicsScores, DynamicsSettings, score_dynamics, train_dynamics
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics

@@ -37,6 +37,7 @@ ORDER = {
         ("scene",),
         ("data",),
         ("detector", "dynamics"),
+        ("plant",),
     ],
 }
 MOST_FILES, MOST_LINES = 12, 300

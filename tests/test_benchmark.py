@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from kpirl_ocp import Ipopt, Riccati
+from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.irl.hypergradients import unrolled
 from kpirl_ocp.ocp.solvers import gradient_descent
 
@@ -80,7 +81,7 @@ def test_a_contender_that_is_not_installed_is_left_out_and_says_how_to_install_i
 
 
 def test_demonstrations_can_be_reached_with_the_model(bench):
-    data = bench("problem").trained_network(HORIZON, STEPS, count=2)
+    data = placing_case(HORIZON, STEPS, count=2)
     assert data.observed.shape == (2, HORIZON + 1, 8)
     np.testing.assert_array_equal(data.observed[:, 0], data.s0[:, :8])
     np.testing.assert_array_equal(data.goal, data.observed[:, -1])
@@ -102,7 +103,7 @@ def test_ipopt_with_our_stage_functions_solves_the_program_of_ipopt(horizon, ben
 @pytest.mark.parametrize("model", ["random", "trained"])
 def test_bounds_on_actions_and_joints_are_active_and_independent(model, bench):
     problem = bench("problem")
-    data = problem.random_network((100, 25), 15, 1, "tanh") if model == "random" else problem.trained_network(10, 1)
+    data = problem.random_network((100, 25), 15, 1, "tanh") if model == "random" else placing_case(10, 1)
     solution = Riccati().solve(data.bounded, data.s0[0], data.psi.ravel(), data.goal[0])
     assert solution.status.ok
     assert (np.abs(solution.multipliers.action) > 1e-6).any()

@@ -8,10 +8,11 @@ import pytest
 
 from kpirl_ocp.episodes import episode_path, read_episode, read_meta
 from kpirl_ocp.errors import EpisodeError, ProblemError
-from kpirl_ocp.perception.data.clips import detect_tracks, recordings, unlabelled
+from kpirl_ocp.perception.data.clips import recordings, unlabelled
 from kpirl_ocp.perception.data.collect import collect
 from kpirl_ocp.perception.data.motions import MOTIONS, HandPlacing, HandWandering, LastJoint, Placing, Reaching, Sines
 from kpirl_ocp.perception.data.recordings import ArmRecording, Recording, Truth, read_hand
+from kpirl_ocp.perception.detector.tracks import detect_tracks
 from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path, wandering_path
 from kpirl_ocp.perception.scene.scene import Scene
 

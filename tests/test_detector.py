@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.numpy import load_file, save_file
 
-from kpirl_ocp.errors import EpisodeError, ProblemError
+from kpirl_ocp.errors import EpisodeError, ModelError, ProblemError
 from kpirl_ocp.perception.data.recordings import Recording
 from kpirl_ocp.perception.detector import losses
 from kpirl_ocp.perception.detector.detector import KeypointDetector
@@ -301,30 +301,30 @@ def test_a_missing_or_damaged_model_is_named(saved):
     whole = weights.read_bytes()
     for content in (b"", whole[:50], whole[:-1]):
         weights.write_bytes(content)
-        with pytest.raises(EpisodeError, match=r"detector\.json or the \.safetensors file beside it is damaged"):
+        with pytest.raises(ModelError, match=r"detector\.safetensors cannot be read as safetensors"):
             KeypointDetector.load(saved)
     weights.unlink()
-    with pytest.raises(EpisodeError, match=r"detector\.safetensors does not exist: train"):
+    with pytest.raises(ModelError, match=r"no weight file .*detector\.safetensors"):
         KeypointDetector.load(saved)
     saved.write_text("{")
-    with pytest.raises(EpisodeError, match=r"detector\.json"):
+    with pytest.raises(ModelError, match=r"detector\.json"):
         KeypointDetector.load(saved)
     saved.unlink()
-    with pytest.raises(EpisodeError, match=r"detector\.json does not exist: train"):
+    with pytest.raises(ModelError, match=r"no model card .*detector\.json: train"):
         KeypointDetector.load(saved)
 
 
 @pytest.mark.parametrize(("key", "value"), [("kind", "kpirl_ocp.dynamics"), ("version", 99)])
 def test_a_model_of_another_kind_or_version_is_refused(saved, key, value):
     saved.write_text(json.dumps(json.loads(saved.read_text()) | {key: value}))
-    with pytest.raises(EpisodeError, match=rf"detector\.json must be a kpirl_ocp\.detector of version 1.*{value}"):
+    with pytest.raises(ModelError, match=rf"detector\.json: '{key}' must be .*; it is .*{value}"):
         KeypointDetector.load(saved)
 
 
 def test_weights_that_are_not_finite_are_named(saved):
     weights = saved.with_suffix(".safetensors")
     save_file(load_file(weights) | {"head.bias": np.full(2, np.nan, np.float32)}, weights)
-    with pytest.raises(EpisodeError, match=r"detector\.safetensors, head\.bias: holds NaN"):
+    with pytest.raises(ModelError, match=r"detector\.safetensors: 'head\.bias' holds NaN"):
         KeypointDetector.load(saved)
 
 
@@ -339,7 +339,7 @@ def test_weights_that_are_not_finite_are_named(saved):
 )
 def test_a_card_that_does_not_fit_its_weights_is_named(saved, card):
     saved.write_text(json.dumps(card))
-    with pytest.raises(EpisodeError, match=r"detector"):
+    with pytest.raises(ModelError, match=r"detector"):
         KeypointDetector.load(saved)
 
 

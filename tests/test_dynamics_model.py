@@ -9,7 +9,7 @@ import torch
 from safetensors.numpy import load_file, save_file
 
 from kpirl_ocp.episodes import ArmTrack
-from kpirl_ocp.errors import EpisodeError, ProblemError
+from kpirl_ocp.errors import EpisodeError, ModelError, ProblemError
 from kpirl_ocp.perception.dynamics.model import ACTIVATIONS, DynamicsModel
 from kpirl_ocp.perception.dynamics.training import DynamicsSettings, Stretches, score_dynamics, train_dynamics
 
@@ -297,23 +297,25 @@ def test_a_missing_or_damaged_model_is_named(saved):
     whole = weights.read_bytes()
     for content in (b"", whole[:50], whole[:-1]):
         weights.write_bytes(content)
-        with pytest.raises(EpisodeError, match=r"dynamics\.json or the \.safetensors file beside it is damaged"):
+        with pytest.raises(ModelError, match=r"dynamics\.safetensors cannot be read as safetensors"):
             DynamicsModel.load(saved)
     weights.unlink()
-    with pytest.raises(EpisodeError, match=r"dynamics\.safetensors does not exist"):
+    with pytest.raises(ModelError, match=r"no weight file .*dynamics\.safetensors"):
         DynamicsModel.load(saved)
 
 
 def test_a_detector_is_no_dynamics(saved):
     saved.write_text(json.dumps(json.loads(saved.read_text()) | {"kind": "kpirl_ocp.detector"}))
-    with pytest.raises(EpisodeError, match=r"dynamics\.json must be a kpirl_ocp\.dynamics.*not 'kpirl_ocp\.detector'"):
+    with pytest.raises(
+        ModelError, match=r"dynamics\.json: 'kind' must be 'kpirl_ocp\.dynamics'; it is 'kpirl_ocp\.detector'"
+    ):
         DynamicsModel.load(saved)
 
 
 def test_weights_that_are_not_finite_are_named(saved):
     weights = saved.with_suffix(".safetensors")
     save_file(load_file(weights) | {"input.scale": np.full(13, np.inf, np.float32)}, weights)
-    with pytest.raises(EpisodeError, match=r"dynamics\.safetensors, input\.scale: holds NaN"):
+    with pytest.raises(ModelError, match=r"dynamics\.safetensors: 'input\.scale' holds NaN"):
         DynamicsModel.load(saved)
 
 
@@ -322,5 +324,5 @@ def test_weights_that_are_not_finite_are_named(saved):
 )
 def test_a_card_that_does_not_fit_its_weights_is_named(saved, change):
     saved.write_text(json.dumps(json.loads(saved.read_text()) | change))
-    with pytest.raises(EpisodeError, match="dynamics"):
+    with pytest.raises(ModelError, match="dynamics"):
         DynamicsModel.load(saved)

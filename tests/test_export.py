@@ -11,7 +11,7 @@ from problems import TABLE
 
 from kpirl_ocp import Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory, Unrolled
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.export import Controller, export_c
+from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.ocp.sensitivity.implicit_function import Response
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance
 from kpirl_ocp.ocp.solvers.sqp import SQP
@@ -26,7 +26,7 @@ SETTINGS = {
 
 def controller(name, solver=CONVERGED, compiler="gcc", **settings):
     out, case = folder(name, solver)
-    loaded = Controller(out, STRICT, compiler)
+    loaded = ExportedSolver(out, STRICT, compiler)
     if settings:
         loaded.set(**settings)
     return loaded, case
@@ -69,7 +69,7 @@ def test_gradient_descent_and_its_hypergradient_are_those_of_python(project, tmp
     case = TABLE["pendulum"]()
     problem = replace(case.problem, state_bounds=(-np.inf, np.inf)) if project else case.problem.unconstrained()
     solver, seen = GradientDescent(8, 0.02, project=project), case.demonstration
-    ours = Controller(export_c(problem, solver, tmp_path, psi=case.psi), STRICT)
+    ours = ExportedSolver(export_c(problem, solver, tmp_path, psi=case.psi), STRICT)
     plan = ours.solve(problem, seen.s0, case.psi, seen.context)
     assert_same(plan, solver.solve(problem, seen.s0, case.psi, seen.context))
 
@@ -124,7 +124,7 @@ def test_a_plan_that_is_no_solution_has_no_gradient_to_be_believed():
 def test_sqp_is_that_of_python_with_path_constraints(tmp_path):
     case = TABLE["integrator"]()
     seen, solver = case.demonstration, SQP()
-    ours = Controller(export_c(case.problem, solver, tmp_path, psi=case.psi), STRICT)
+    ours = ExportedSolver(export_c(case.problem, solver, tmp_path, psi=case.psi), STRICT)
     found = ours.solve(case.problem, seen.s0, case.psi, seen.context)
     reference = solver.solve(case.problem, seen.s0, case.psi, seen.context)
     assert found.status is reference.status is Status.CONVERGED
@@ -184,7 +184,7 @@ def test_status_codes_are_those_of_python():
 
 def test_a_folder_of_another_format_or_none_is_refused(tmp_path):
     with pytest.raises(ProblemError, match="does not exist"):
-        Controller(tmp_path)
+        ExportedSolver(tmp_path)
     (tmp_path / "manifest.json").write_text('{"format": 0}')
     with pytest.raises(ProblemError, match="export it again"):
-        Controller(tmp_path)
+        ExportedSolver(tmp_path)

@@ -13,7 +13,7 @@ from exported import COMPILERS, STRICT, C, built, folder, ran
 from problems import TABLE
 
 from kpirl_ocp import Riccati
-from kpirl_ocp.ocp.export import Controller, generated
+from kpirl_ocp.ocp.export import ExportedSolver, generated
 from kpirl_ocp.ocp.solvers.sqp import SQP, program
 
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
@@ -109,7 +109,7 @@ def test_cmake_builds_and_tests_it(tmp_path):
 
 def test_a_deadline_ends_the_solve_where_it_is():
     out, case = folder("integrator", CONVERGED)
-    ours, ticks = Controller(out, STRICT), iter(range(1000))
+    ours, ticks = ExportedSolver(out, STRICT), iter(range(1000))
     clock = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p)(lambda _: next(ticks))
     ours.set(now=ctypes.cast(clock, ctypes.c_void_p), time_limit=3.0)
     seen = case.demonstration
@@ -122,7 +122,7 @@ def test_a_deadline_ends_the_solve_where_it_is():
 
 def test_shift_moves_a_plan_one_step_on():
     out, case = folder("integrator", CONVERGED)
-    ours, seen = Controller(out, STRICT), case.demonstration
+    ours, seen = ExportedSolver(out, STRICT), case.demonstration
     plan = ours.solve(case.problem, seen.s0, case.psi, seen.context)
     shifted = ours.shift(case.problem, plan, case.psi)
     np.testing.assert_array_equal(shifted.states[:-1], plan.states[1:])

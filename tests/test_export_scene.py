@@ -10,14 +10,15 @@ pytest.importorskip("pybullet")
 
 from exported import STRICT
 
-from kpirl_ocp import Riccati, load_dynamics
+from kpirl_ocp import Riccati
 from kpirl_ocp.assets import shipped_model
-from kpirl_ocp.irl.visual.closed_loop import Controller as Loop
+from kpirl_ocp.irl.cases.planar_arm import planar_dynamics
+from kpirl_ocp.irl.visual.closed_loop import KeypointController
 from kpirl_ocp.irl.visual.demonstrations import positions
-from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem, without_joints
-from kpirl_ocp.ocp.export import Controller, export_c
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
+from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.perception.detector.detector import KeypointDetector
-from kpirl_ocp.perception.scene.plant import CameraPlant
+from kpirl_ocp.perception.plant.camera_plant import CameraPlant
 from kpirl_ocp.perception.scene.scene import Scene
 
 HORIZON, RATE = 4, 1  # Hz, of the placing model
@@ -37,14 +38,14 @@ def drive(loop, detector):
 
 def test_the_compiled_controller_reaches_the_same_final_distance(tmp_path):
     detector = KeypointDetector.load(shipped_model("detector"))
-    dynamics = without_joints(load_dynamics(shipped_model("placing")), (0, 2, 4, 6))
+    dynamics = planar_dynamics(shipped_model("placing"))
     python = Riccati(1e-8)
     cost = PlanningCost(np.ones((HORIZON, dynamics.n_z)), np.full(HORIZON, 0.1), python)
     problem = planning_problem(dynamics, HORIZON)
-    compiled = Controller(export_c(problem, python, tmp_path, psi=cost.psi), STRICT)
+    compiled = ExportedSolver(export_c(problem, python, tmp_path, psi=cost.psi), STRICT)
 
-    seen, goal, done = drive(Loop.build(dynamics, cost), detector)
-    ours, _, same = drive(Loop.build(dynamics, replace(cost, solver=compiled)), detector)
+    seen, goal, done = drive(KeypointController.build(dynamics, cost), detector)
+    ours, _, same = drive(KeypointController.build(dynamics, replace(cost, solver=compiled)), detector)
     distances = [float(np.linalg.norm(path[-1] - goal)) for path in (seen, ours)]
     assert distances[0] < 0.5 * np.linalg.norm(seen[0] - goal)
     assert distances[1] == pytest.approx(distances[0], abs=1e-6)

@@ -10,20 +10,11 @@ KNOWN = {
     "circle of modules: ocp.export.exported_solver, ocp.export.folder, ocp.export.resident, ocp.export.riccati, "
     "ocp.export.targets, ocp.solvers.riccati",
     "circle of rooms: ocp.export, ocp.solvers",
-    "circle of rooms: perception.data, perception.detector, perception.scene",
-    "irl/comparison.py is in no room",
-    "irl/study.py is in no room",
     "ocp.solvers.riccati -> ocp.export.resident",
     "ocp.solvers.riccati imports ocp.export.resident inside a function",
     "ocp/export/c/kpirl_mpc.c has more than 300 lines",
     "ocp/export/c/kpirl_mpc_newton.c has more than 300 lines",
     "ocp/interior_point/iterate.py has more than 300 lines",
-    "perception.data.clips -> perception.detector.detector",
-    "perception.scene.plant -> perception.data.video",
-    "perception.scene.plant -> perception.detector.detector",
-    "perception.scene.plant -> perception.detector.keypoints",
-    "perception/checkpoint.py is in no room",
-    "perception/model_files.py is in no room",
 }
 
 

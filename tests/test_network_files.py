@@ -143,7 +143,7 @@ def test_tensors_that_the_card_does_not_mention_are_refused(path):
 
 
 def test_files_that_are_missing_or_garbled_are_named(path):
-    with pytest.raises(ModelError, match=r"no dynamics card .*other\.json"):
+    with pytest.raises(ModelError, match=r"no model card .*other\.json: train"):
         load_dynamics(path.with_name("other.json"))
     path.with_suffix(".safetensors").write_bytes(b"nonsense")
     with pytest.raises(ModelError, match=r"arm\.safetensors cannot be read as safetensors"):

@@ -8,9 +8,9 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("cv2")
 
+from kpirl_ocp.perception.plant.camera_plant import CameraPlant, Disturbance
 from kpirl_ocp.perception.scene.bodies import BOTTLE
 from kpirl_ocp.perception.scene.camera import Camera
-from kpirl_ocp.perception.scene.plant import CameraPlant, Disturbance, in_plane
 from kpirl_ocp.perception.scene.posture import carry
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.perception.scene.world import Frame
@@ -61,7 +61,7 @@ def test_noise_has_the_given_deviation():
 
 @pytest.mark.parametrize("point", [[0.5, 0.0, 0.6], [0.75, 0.0, 0.42]])
 def test_a_point_of_the_arms_plane_is_found_where_the_camera_sees_it(point):
-    assert np.allclose(in_plane(Camera(), Camera().project(point)), point, atol=1e-12)
+    assert np.allclose(Camera().in_plane(Camera().project(point)), point, atol=1e-12)
 
 
 def test_a_plant_acts_on_the_scene_and_remembers_every_look():

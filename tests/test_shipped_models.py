@@ -8,11 +8,12 @@ import torch
 
 from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
-from kpirl_ocp.perception.data.clips import detect_tracks, recordings
+from kpirl_ocp.perception.data.clips import recordings
 from kpirl_ocp.perception.data.collect import collect
 from kpirl_ocp.perception.data.motions import HandPlacing, LastJoint, Placing, Sines
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.evaluation import score
+from kpirl_ocp.perception.detector.tracks import detect_tracks
 from kpirl_ocp.perception.dynamics.model import DynamicsModel
 from kpirl_ocp.perception.dynamics.training import score_dynamics
 

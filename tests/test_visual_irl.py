@@ -7,8 +7,9 @@ import pytest
 
 from kpirl_ocp.episodes import ArmTrack, KeypointTrack
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.irl.cases.planar_arm import without_joints
 from kpirl_ocp.irl.learning.evaluation import relative_distance
-from kpirl_ocp.irl.visual.closed_loop import Controller, Sight
+from kpirl_ocp.irl.visual.closed_loop import KeypointController
 from kpirl_ocp.irl.visual.demonstrations import (
     moving_keypoints,
     own_demonstration,
@@ -23,12 +24,12 @@ from kpirl_ocp.irl.visual.learning import (
     learn_implicit,
     learn_unrolled,
 )
-from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem, without_joints
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
 from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 from kpirl_ocp.ocp.models.mlp import MLP
-from kpirl_ocp.types import Demonstration
+from kpirl_ocp.types import Demonstration, Sight
 
 T, K, N_Q = 6, 2, 3
 # Keypoints move by A u: the first joint moves both along x, the second along y, the third turns them.
@@ -150,7 +151,7 @@ def stopped_cost():
 @pytest.mark.parametrize(("cost", "accuracy"), [(converged_cost(), 1e-8), (stopped_cost(), 1e-15)])
 def test_with_a_true_model_planning_again_changes_nothing(cost, accuracy):
     """Bellman's principle where the solver converges."""
-    runs = [Controller.build(DYNAMICS, cost, closed).run(LinearPlant(), GOAL) for closed in (False, True)]
+    runs = [KeypointController.build(DYNAMICS, cost, closed).run(LinearPlant(), GOAL) for closed in (False, True)]
     assert np.allclose(runs[0].actions, runs[1].actions, atol=accuracy)
     assert [len(run.plans) for run in runs] == [1, T]
     assert all(run.tracking_error < 1e-15 for run in runs)
@@ -158,7 +159,7 @@ def test_with_a_true_model_planning_again_changes_nothing(cost, accuracy):
 
 def test_a_converged_solver_plans_again_from_what_is_seen():
     cost, plant = converged_cost(), LinearPlant(gain=0.6)
-    done = Controller.build(DYNAMICS, cost).run(plant, GOAL)
+    done = KeypointController.build(DYNAMICS, cost).run(plant, GOAL)
     seen = DYNAMICS.state(done.believed[2], done.joints[2])
     anew = cost.solver.solve(planning_problem(DYNAMICS, T), seen, cost.after(2).psi, GOAL)
     assert np.allclose(done.actions[2], anew.actions[0], atol=1e-8)
@@ -170,7 +171,7 @@ def test_a_converged_solver_plans_again_from_what_is_seen():
 )
 def test_planning_again_makes_up_for_an_arm_that_falls_short(cost, share):
     def miss(closed):
-        done = Controller.build(DYNAMICS, cost, closed).run(LinearPlant(gain=0.6), GOAL)
+        done = KeypointController.build(DYNAMICS, cost, closed).run(LinearPlant(gain=0.6), GOAL)
         assert done.tracking_error == pytest.approx(0.4 * np.sqrt(np.mean(done.actions**2)), rel=1e-12)
         return np.linalg.norm(positions(done.keypoints[-1]) - GOAL)
 
@@ -178,9 +179,11 @@ def test_planning_again_makes_up_for_an_arm_that_falls_short(cost, share):
 
 
 def test_where_the_detector_is_not_sure_of_a_keypoint_all_are_predicted_instead():
-    calm = Controller.build(DYNAMICS, converged_cost()).run(LinearPlant(), GOAL)
-    careful = Controller.build(DYNAMICS, converged_cost(), confidence=0.5).run(LinearPlant(nonsense=(2, 3)), GOAL)
-    trusting = Controller.build(DYNAMICS, converged_cost()).run(LinearPlant(nonsense=(2, 3)), GOAL)
+    calm = KeypointController.build(DYNAMICS, converged_cost()).run(LinearPlant(), GOAL)
+    careful = KeypointController.build(DYNAMICS, converged_cost(), confidence=0.5).run(
+        LinearPlant(nonsense=(2, 3)), GOAL
+    )
+    trusting = KeypointController.build(DYNAMICS, converged_cost()).run(LinearPlant(nonsense=(2, 3)), GOAL)
     assert np.allclose(careful.actions, calm.actions, atol=1e-8)
     assert np.abs(trusting.actions - calm.actions).max() > 0.1
     assert careful.keypoints[2, 0].tolist() == [0.7, -0.7, 0.01]  # what was seen is kept as it was
@@ -188,7 +191,7 @@ def test_where_the_detector_is_not_sure_of_a_keypoint_all_are_predicted_instead(
 
 def test_a_goal_of_another_length_is_refused():
     with pytest.raises(ProblemError, match=r"goal must be \(4,\)"):
-        Controller.build(DYNAMICS, converged_cost()).run(LinearPlant(), np.zeros(6))
+        KeypointController.build(DYNAMICS, converged_cost()).run(LinearPlant(), np.zeros(6))
 
 
 @pytest.mark.parametrize("name", COSTS)

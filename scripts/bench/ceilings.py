@@ -10,10 +10,10 @@ import numpy as np
 from bench.contenders import OURS, find
 from bench.flops import products
 from bench.part import Numbers, Part, Table
-from bench.problem import N_Q, N_Z, Data
 from bench.settings import Preset
 from bench.timing import Timing, interleaved
 from kpirl_ocp import GradientDescent
+from kpirl_ocp.irl.cases.network_cases import N_Q, N_Z, NetworkCase
 from kpirl_ocp.irl.hypergradients.loss import squared_distance
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 
@@ -73,13 +73,13 @@ def rate(m: int, k: int, n: int, preset: Preset) -> float:
     return 2 * m * k * n * count / min(timing.median for timing in timings.values()) / 1e9
 
 
-def work(data: Data) -> int:
+def work(data: NetworkCase) -> int:
     """Operations in the products of our unrolled gradient, for all demonstrations."""
     solver, count = GradientDescent(data.steps, data.step_size), len(data.s0)
     return products(unrolled_function(data.problem, solver, squared_distance, data.steps, False, count))
 
 
-def _time(data: Data, preset: Preset) -> Timing:
+def _time(data: NetworkCase, preset: Preset) -> Timing:
     evaluate = find(OURS)(data)
     evaluate()
     return interleaved({OURS: evaluate}, preset.budget, preset.most)[OURS]

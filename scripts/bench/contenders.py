@@ -9,8 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from bench.problem import N_Q, Data
 from kpirl_ocp import GradientDescent, Unrolled
+from kpirl_ocp.irl.cases.network_cases import N_Q, NetworkCase
 from kpirl_ocp.irl.hypergradients.loss import squared_distance
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.ocp.codegen.compiler import compiled
@@ -19,7 +19,7 @@ from kpirl_ocp.types import Array
 
 Evaluation = Callable[[], tuple[float, Array]]
 """Loss and gradient (T, n_z); several demonstrations give the means."""
-Prepare = Callable[[Data], Evaluation]
+Prepare = Callable[[NetworkCase], Evaluation]
 
 OURS = "ours"
 ALONE = "ours, compiled function alone"
@@ -46,7 +46,7 @@ def find(name: str) -> Prepare | None:
     return partial(importlib.import_module(f"bench.{module}").unrolled, **options)
 
 
-def ours(data: Data) -> Evaluation:
+def ours(data: NetworkCase) -> Evaluation:
     """The public call, with its certificate and audited solution."""
     method, psi = Unrolled(GradientDescent(data.steps, data.step_size)), data.psi.ravel()
 
@@ -58,7 +58,7 @@ def ours(data: Data) -> Evaluation:
     return evaluate
 
 
-def alone(data: Data) -> Evaluation:
+def alone(data: NetworkCase) -> Evaluation:
     """The compiled function of one demonstration, without checks, audit and certificate around it."""
     solver, psi = GradientDescent(data.steps, data.step_size), data.psi.ravel()
     function = Call(compiled(unrolled_function(data.problem, solver, squared_distance, data.steps, False, 1)))

@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from bench.part import Numbers, Part, Table
-from bench.problem import N_Z, Data, random_network, trained_network
+from bench.problem import random_network
 from bench.settings import Preset
 from kpirl_ocp import Ipopt, Riccati, Solution
+from kpirl_ocp.irl.cases.network_cases import N_Z, NetworkCase, placing_case
 from kpirl_ocp.ocp.codegen.shared_library import NATIVE, PORTABLE
-from kpirl_ocp.ocp.export import Controller, export_c
+from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.solvers.sqp import SQP
 
@@ -40,7 +41,7 @@ def measure(preset: Preset) -> Part:
     numbers: Numbers = {}
     rows: list[list[object]] = []
     for horizon in preset.exported:
-        data = trained_network(horizon, 20) if preset.trained else random_network(preset.hidden, horizon, 20, "tanh")
+        data = placing_case(horizon, 20) if preset.trained else random_network(preset.hidden, horizon, 20, "tanh")
         builds = {name: _with(preset.optimisation, flags) for name, flags in BUILDS.items()}
         found = {
             **_exported(data, builds, preset.exported_steps),
@@ -76,7 +77,7 @@ def _with(optimisation: str, flags: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(optimisation if flag.startswith("-O") else flag for flag in flags)
 
 
-def _exported(data: Data, builds: dict[str, tuple[str, ...]], steps: int) -> dict[str, Numbers]:
+def _exported(data: NetworkCase, builds: dict[str, tuple[str, ...]], steps: int) -> dict[str, Numbers]:
     found = {}
     with tempfile.TemporaryDirectory() as scratch:
         examples = [(data.s0[0], data.goal[0])]
@@ -111,20 +112,20 @@ def _loop(folder: Path, library: Path, flags: tuple[str, ...]) -> Path:
     return program
 
 
-def _in_python(data: Data, flags: tuple[str, ...], steps: int) -> dict[str, Numbers]:
+def _in_python(data: NetworkCase, flags: tuple[str, ...], steps: int) -> dict[str, Numbers]:
     """The same loop around solvers that are called from Python, the exported one among them."""
     with tempfile.TemporaryDirectory() as scratch:
         examples = [(data.s0[0], data.goal[0])]
         folder = export_c(data.bounded, SOLVERS[REAL_TIME], scratch, psi=data.psi.ravel(), examples=examples)
         return {
             f"Python, {REAL_TIME}": _closed_loop(data, SOLVERS[REAL_TIME], steps),
-            f"Controller, {REAL_TIME}": _closed_loop(data, Controller(folder, flags), steps),
+            f"ExportedSolver, {REAL_TIME}": _closed_loop(data, ExportedSolver(folder, flags), steps),
             f"Python, {CONVERGED}": _closed_loop(data, SOLVERS[CONVERGED], steps),
             "Ipopt": _closed_loop(data, Ipopt(1e-8), min(steps, _SLOW)),
         }
 
 
-def _closed_loop(data: Data, solver: Solver, steps: int, warm: bool = True) -> Numbers:
+def _closed_loop(data: NetworkCase, solver: Solver, steps: int, warm: bool = True) -> Numbers:
     """Wall times of warm-started solves."""
     rng, state, psi = np.random.default_rng(0), data.s0[0], data.psi.ravel()
     spent, iterations = [], []

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 
 from bench.contenders import ALONE, JAX, NAMES
 from bench.part import Numbers, Part, Table
-from bench.problem import Data, random_network
+from bench.problem import random_network
 from bench.race import Result, fastest, race
 from bench.settings import Preset
+from kpirl_ocp.irl.cases.network_cases import NetworkCase
 
 
 @dataclass
@@ -66,7 +67,7 @@ def measure(preset: Preset) -> Part:
     )
 
 
-def _race(data: Data, preset: Preset, patience: _Patience) -> dict[str, Result]:
+def _race(data: NetworkCase, preset: Preset, patience: _Patience) -> dict[str, Result]:
     size = data.steps * data.horizon
     results = race(data, NAMES, preset, lambda name: patience.reason(name, size))
     for name, result in results.items():

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from bench.part import Numbers, Part, Table
-from bench.problem import Data
 from bench.settings import Preset
 from bench.timing import interleaved
 from kpirl_ocp import GradientDescent, Implicit, Riccati, Unrolled
+from kpirl_ocp.irl.cases.network_cases import NetworkCase
 from kpirl_ocp.irl.hypergradients.implicit import differentiate
 
 SOLVE, GRADIENT, BOTH = "solve to 1e-10", "gradient and certificate", "Implicit(Riccati())"
@@ -24,7 +24,7 @@ def measure(preset: Preset) -> Part:
     return Part(numbers, [Table(title, ["weights", "", "time [ms]"], rows, note)])
 
 
-def _measure(data: Data, preset: Preset) -> Numbers:
+def _measure(data: NetworkCase, preset: Preset) -> Numbers:
     problem, demonstration, psi = data.bounded, data.demonstrations[0], data.psi.ravel()
     solver, method = Riccati(), Implicit(Riccati(), policy="flag")
     unrolled = Unrolled(GradientDescent(data.steps, data.step_size))

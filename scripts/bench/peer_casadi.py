@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 
 from bench.contenders import Evaluation
-from bench.problem import N_Q, N_Z, Data
+from kpirl_ocp.irl.cases.network_cases import N_Q, N_Z, NetworkCase
 from kpirl_ocp.types import Array
 
 
-def unrolled(data: Data) -> Evaluation:
+def unrolled(data: NetworkCase) -> Evaluation:
     """Loss and gradient (T, n_z) of the first demonstration."""
     psi, s0, goal = ca.MX.sym("psi", N_Z, data.horizon), ca.MX.sym("s0", N_Z + 2 * N_Q), ca.MX.sym("goal", N_Z)
     actions, observed = ca.MX.sym("U", N_Q, data.horizon), ca.MX.sym("Z", N_Z, data.horizon + 1)
@@ -34,7 +34,7 @@ def unrolled(data: Data) -> Evaluation:
     return evaluate
 
 
-def _stage(data: Data) -> ca.Function:
+def _stage(data: NetworkCase) -> ca.Function:
     """f(s, u) -> s_next."""
     s, u = ca.MX.sym("s", N_Z + 2 * N_Q), ca.MX.sym("u", N_Q)
     activation = {"relu": lambda x: ca.fmax(x, 0), "tanh": ca.tanh}[data.activation]

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from bench.contenders import Evaluation
-from bench.problem import N_Q, N_Z, Data
+from kpirl_ocp.irl.cases.network_cases import N_Q, N_Z, NetworkCase
 from kpirl_ocp.types import Array
 
 jax.config.update("jax_enable_x64", True)
 
 
-def unrolled(data: Data, unroll: int = 1) -> Evaluation:
+def unrolled(data: NetworkCase, unroll: int = 1) -> Evaluation:
     """Loss and gradient (T, n_z); their means over demonstrations, by `vmap`, when there are several.
 
     unroll: stages per trip of the loop over time. Five are faster than one, all 25 slower, and compile for 15 s.

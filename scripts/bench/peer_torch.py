@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 
 from bench.contenders import Evaluation
-from bench.problem import N_Q, N_Z, Data
+from kpirl_ocp.irl.cases.network_cases import N_Q, N_Z, NetworkCase
 from kpirl_ocp.types import Array
 
 
-def unrolled(data: Data) -> Evaluation:
+def unrolled(data: NetworkCase) -> Evaluation:
     """Loss and gradient (T, n_z) of the first demonstration."""
     torch.set_num_threads(1)
     s0, goal, observed = (torch.tensor(array[0]) for array in (data.s0, data.goal, data.observed))

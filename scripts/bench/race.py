@@ -10,9 +10,9 @@ import numpy as np
 
 from bench.contenders import NOT_INSTALLED, OURS, Evaluation, find
 from bench.part import Numbers
-from bench.problem import Data
 from bench.settings import Preset
 from bench.timing import Timing, interleaved
+from kpirl_ocp.irl.cases.network_cases import NetworkCase
 
 Skip = Callable[[str], str | None]
 
@@ -40,7 +40,7 @@ class Result:
         return self.reason if self.timing is None else str(self.timing)
 
 
-def race(data: Data, names: Sequence[str], preset: Preset, skip: Skip = lambda _: None) -> dict[str, Result]:
+def race(data: NetworkCase, names: Sequence[str], preset: Preset, skip: Skip = lambda _: None) -> dict[str, Result]:
     """Time loss and gradient; ours must be among the names. `skip` gives the reason to leave a contender out."""
     reasons, ready, first = {}, {}, {}
     for name in names:

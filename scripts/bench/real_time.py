@@ -10,10 +10,10 @@ from collections.abc import Callable
 import numpy as np
 
 from bench.part import Numbers, Part, Table
-from bench.problem import N_Z, Data
 from bench.settings import Preset
 from bench.timing import Timing, seconds
 from kpirl_ocp import Riccati
+from kpirl_ocp.irl.cases.network_cases import N_Z, NetworkCase
 from kpirl_ocp.types import Array
 
 BARRIER = 1e-2  # tau; with 1e-4 single steps creep along the bounds, and the loop does not follow the goal
@@ -40,7 +40,7 @@ def measure(preset: Preset) -> Part:
     return Part(numbers, [Table(title, header, rows, note)])
 
 
-def _closed_loop(data: Data, controller: Controller, steps: int) -> tuple[Timing, float]:
+def _closed_loop(data: NetworkCase, controller: Controller, steps: int) -> tuple[Timing, float]:
     """Times of the controller, and how well it keeps the keypoints at the goal."""
     rng, state = np.random.default_rng(0), data.s0[0]
     spent, errors, actions = [], [], []
@@ -55,7 +55,7 @@ def _closed_loop(data: Data, controller: Controller, steps: int) -> tuple[Timing
     return Timing.of(spent), float(np.mean(errors))
 
 
-def _controllers(data: Data) -> dict[str, Controller]:
+def _controllers(data: NetworkCase) -> dict[str, Controller]:
     """All start from the same solution."""
     problem, psi, converged = data.bounded, data.psi.ravel(), Riccati(1e-8, barrier=BARRIER)
     start = converged.solve(problem, data.s0[0], psi, data.goal[0])

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bench.contenders import NAMES, OURS
-from bench.problem import Data, random_network, trained_network
+from bench.problem import random_network
 from kpirl_ocp import RBF, TimeDependent, Weighted
+from kpirl_ocp.irl.cases.network_cases import NetworkCase, placing_case
 from kpirl_ocp.ocp.models.keypoint_costs import Basis
 
 
@@ -48,11 +49,11 @@ class Preset:
     most: int = 300
     patience: float = 30.0
 
-    def models(self, *activations: str, steps: int | None = None, count: int = 1) -> list[Data]:
+    def models(self, *activations: str, steps: int | None = None, count: int = 1) -> list[NetworkCase]:
         """Random weights with these activations, and the trained model, at the paper's T; N by default the paper's."""
         horizon, steps = self.paper_horizon, steps or self.paper_steps
         found = [random_network(self.hidden, horizon, steps, name, count) for name in activations]
-        return [*found, *([trained_network(horizon, steps, count)] if self.trained else [])]
+        return [*found, *([placing_case(horizon, steps, count)] if self.trained else [])]
 
 
 PRESETS = {

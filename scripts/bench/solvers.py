@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.part import Numbers, Part, Table
-from bench.problem import Data, single
+from bench.problem import single
 from bench.settings import Preset
 from bench.stage_ipopt import StageIpopt
 from bench.timing import Timing, interleaved
 from kpirl_ocp import Fatrop, Ipopt, Riccati, Solution
+from kpirl_ocp.irl.cases.network_cases import NetworkCase
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.types import Trajectory
 
@@ -57,7 +58,7 @@ def measure(preset: Preset) -> Part:
     return Part(numbers, [Table(f"Bounded OCP, tanh, T = {preset.paper_horizon}", header, rows, note)])
 
 
-def _from_start(data: Data, preset: Preset) -> dict[str, Numbers]:
+def _from_start(data: NetworkCase, preset: Preset) -> dict[str, Numbers]:
     arguments = data.s0[0], data.psi.ravel(), data.goal[0]
     stage_ipopt = StageIpopt(data.bounded, TOLERANCE)
 

@@ -13,18 +13,17 @@ import torch
 from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.episodes import ArmTrack, KeypointTrack
 from kpirl_ocp.errors import ModelError
-from kpirl_ocp.irl.visual.planning_costs import without_joints
-from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
+from kpirl_ocp.irl.cases.planar_arm import planar_dynamics
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
-from kpirl_ocp.perception.data.clips import detect_tracks, recordings
+from kpirl_ocp.perception.data.clips import recordings
 from kpirl_ocp.perception.data.collect import collect
 from kpirl_ocp.perception.data.motions import HandPlacing, Reaching
 from kpirl_ocp.perception.detector.detector import KeypointDetector
+from kpirl_ocp.perception.detector.tracks import detect_tracks
 from kpirl_ocp.types import Array
 
 # Seeds of the collections; no model was trained or scored on them.
 _REACHING, _REACHING_VALIDATION, _PLACING, _PLACING_VALIDATION = 100, 101, 102, 103
-_HELD = (0, 2, 4, 6)  # joints 1, 3, 5 and 7 hardly move in the training data (paper, A.3)
 NAMES = ("detector", "reaching", "placing")
 
 
@@ -65,7 +64,7 @@ def _load_detector(models: Models) -> KeypointDetector:
 
 @lru_cache(maxsize=2)
 def _load_dynamics(models: Models, task: str) -> NetworkDynamics:
-    return without_joints(load_dynamics({"reaching": models.reaching, "placing": models.placing}[task]), _HELD)
+    return planar_dynamics({"reaching": models.reaching, "placing": models.placing}[task])
 
 
 @dataclass(frozen=True, eq=False)

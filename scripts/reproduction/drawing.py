@@ -9,9 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from kpirl_ocp.figures import COLOURS, GREY, bands, new_figure
-from kpirl_ocp.perception.detector.keypoints import to_pixels
 from kpirl_ocp.types import Array
-from reproduction.placing import SIZE
 
 Runs = Mapping[str, Sequence[Array]]
 
@@ -74,36 +72,6 @@ def _weight_bars(axis: Axes, values: Array, places: Array, width: float, hatch: 
     axis.set_xticks(range(values.shape[1]), [f"{'xy'[i % 2]}{i // 2 + 1}" for i in range(values.shape[1])], fontsize=8)
     axis.axhline(0.0, color="black", linewidth=0.6)
     axis.grid(alpha=0.3, axis="y")
-
-
-def strips(columns: Mapping[str, tuple[Array, Array, Array]], times: Sequence[int]) -> Figure:
-    """Columns of images (3, H, W, 3) with detected keypoints (3, K, 3), filled, and goal ones (n_z,), hollow."""
-    figure = Figure(figsize=(1.9 * len(columns), 6.1), layout="constrained")
-    axes = figure.subplots(3, len(columns))
-    for column, (title, (images, keypoints, goal)) in enumerate(columns.items()):
-        for row, axis in enumerate(axes[:, column]):
-            axis.imshow(images[row], extent=(0, SIZE, SIZE, 0))
-            here, there = to_pixels(keypoints[row], SIZE), to_pixels(np.reshape(goal, (-1, 2)), SIZE)
-            for colour, (x, y), (goal_x, goal_y) in zip(COLOURS, here, there, strict=False):
-                axis.scatter(goal_x, goal_y, s=46, facecolors="none", edgecolors=colour, linewidths=1.3)
-                axis.scatter(x, y, s=15, color=colour)
-            axis.set(xticks=[], yticks=[], xlim=(0, SIZE), ylim=(SIZE, 0))
-        axes[0, column].set_title(title, fontsize=9)
-    for row, time in enumerate(times):
-        axes[row, 0].set_ylabel(f"t = {time}")
-    return figure
-
-
-def keypoint_paths(axis: Axes, wanted: Array, done: Array) -> None:
-    """Where keypoints should go, dotted, and where they went: z (T+1, 2 K) each, rings at the goals."""
-    for index, colour in zip(range(wanted.shape[1] // 2), COLOURS, strict=False):
-        there, here = (to_pixels(z[:, 2 * index : 2 * index + 2], SIZE) for z in (wanted, done))
-        axis.plot(*there.T, ":", color=colour)
-        axis.plot(*here.T, ".-", color=colour, linewidth=1)
-        axis.scatter(*there[-1], s=60, facecolors="none", edgecolors=colour)
-    axis.set(title="demonstrated (dotted) and done", xlabel="x [pixels]", ylabel="y [pixels]", aspect="equal")
-    axis.invert_yaxis()
-    axis.grid(alpha=0.3)
 
 
 def success(table: Mapping[str, Mapping[str, float]], threshold: str) -> Figure:

@@ -1,7 +1,8 @@
 """Experiment 2 (paper, section 5.2): a person places a bottle, and the robot learns what mattered from the video.
 
 Start 1 is near the person's start, start 2 nearer the goal. The goal is where the person's displacement takes the
-robot's keypoints from start 1; costs are learned at start 1 and used at both.
+robot's keypoints from start 1; costs are learned at start 1 and used at both. The demonstration is read at 5 Hz; its
+ten steps are those of the plan, which the robot takes at 1 Hz.
 """
 
 from __future__ import annotations
@@ -12,14 +13,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.visual.closed_loop import Controller, Execution
+from kpirl_ocp.irl.visual.closed_loop import Execution, KeypointController
 from kpirl_ocp.irl.visual.demonstrations import positions, transferred_demonstration
 from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.perception.detector.keypoints import to_pixels
-from kpirl_ocp.perception.scene.plant import CameraPlant, Disturbance, in_plane
-from kpirl_ocp.perception.scene.posture import UPRIGHT, carry
+from kpirl_ocp.perception.plant.camera_plant import CameraPlant, Disturbance
+from kpirl_ocp.perception.plant.placing_starts import RATE, placing_starts
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array, Demonstration
 from reproduction.data import HandClip, Models
@@ -39,11 +39,8 @@ from reproduction.reaching import iterations_of
 from reproduction.settings import STARTS, Preset
 from reproduction.sweep import Job, Result
 
-RATE = 1  # [Hz] of the robot; the demonstration is read at 5 Hz, its ten steps are the plan's
 SIZE = 240  # of the images [pixels]
 SUCCESS = 8.0  # the middle of the bottle ends within this of its goal [pixels]; 8 are about 31 mm
-_SPREAD, _TILT = 0.015, 0.05  # how exactly the arm is put at its start, at most [m], [rad]
-_WAY_LEFT = 0.4  # of the way to the goal, at start 2
 CONTENDERS = (*UNROLLED, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT, *EFFORT)
 
 
@@ -61,33 +58,11 @@ class Setup:
 
 
 def set_up(models: Models, clip: HandClip, seed: int) -> Setup:
-    """Put the arm at its starts and look once. A start beyond the arm's reach is moved along x into it."""
-    detector, dynamics = models.load_detector(), models.load_dynamics("placing")
-    rng = np.random.default_rng([seed, 7])
-    with Scene(rate=RATE) as scene:
-        goal = in_plane(scene.camera, clip.places[-1])
-        places = [in_plane(scene.camera, clip.places[0])]
-        places.append(goal + _WAY_LEFT * (places[0] - goal))
-        joints = [_posture(scene, place + rng.uniform(-_SPREAD, _SPREAD, 3), rng) for place in places]
-        scene.reset(joints[0])
-        plant = CameraPlant(scene, detector)
-        view = plant.look()
-    demonstration = transferred_demonstration(dynamics, clip.track, view.keypoints, joints[0])
-    return Setup(np.array(joints), demonstration, plant.places[0] + clip.places[-1] - clip.places[0])
-
-
-def _posture(scene: Scene, place: Array, rng: np.random.Generator) -> Array:
-    """Joints (7,) [rad] that hold the bottle at the place (3,) [m], or as little farther along x as the arm needs."""
-    pitch = UPRIGHT + rng.uniform(-_TILT, _TILT)
-    low, high = scene.joint_limits
-    for farther in np.arange(0.0, 0.3, 0.005):
-        try:
-            theta = carry(place[0] + farther, place[2], pitch)
-        except ProblemError:
-            continue
-        if ((theta >= low) & (theta <= high)).all():
-            return theta
-    raise ProblemError(f"the arm cannot hold the bottle at {place} m, nor farther along x.")
+    """Put the arm at its starts, look once, and take over the person's displacements."""
+    starts = placing_starts(models.load_detector(), clip.places, np.random.default_rng([seed, 7]))
+    dynamics = models.load_dynamics("placing")
+    demonstration = transferred_demonstration(dynamics, clip.track, starts.keypoints, starts.joints[0])
+    return Setup(starts.joints, demonstration, starts.goal)
 
 
 def setups(models: Models, clips: Sequence[HandClip], seeds: Sequence[int]) -> dict[int, Setup]:
@@ -177,7 +152,7 @@ def play(
 ) -> tuple[Execution, CameraPlant]:
     """Run a learned cost on the simulated arm."""
     dynamics = _exaggerated(models.load_dynamics("placing"), condition.model_gain)
-    controller = Controller.build(dynamics, unpacked(learned), closed_loop, condition.confidence)
+    controller = KeypointController.build(dynamics, unpacked(learned), closed_loop, condition.confidence)
     with Scene(rate=RATE) as scene:
         scene.reset(joints)
         plant = CameraPlant(scene, models.load_detector(), condition.disturbance, rng)

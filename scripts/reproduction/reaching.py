@@ -12,7 +12,7 @@ import numpy as np
 
 from kpirl_ocp.episodes import ArmTrack
 from kpirl_ocp.irl.learning.evaluation import evaluate, relative_distance
-from kpirl_ocp.irl.visual.closed_loop import Controller
+from kpirl_ocp.irl.visual.closed_loop import KeypointController
 from kpirl_ocp.irl.visual.demonstrations import moving_keypoints, own_demonstration, positions
 from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.irl.visual.planning_costs import planning_problem
@@ -128,11 +128,11 @@ def execution_jobs(
 
 def execute(models: Models, tracks: list[ArmTrack], learned: Result, closed_loop: bool) -> Result:
     """From the start of every test demonstration: relative distances (n_test,) as seen, and tracking errors [rad]."""
-    from kpirl_ocp.perception.scene.plant import CameraPlant
+    from kpirl_ocp.perception.plant.camera_plant import CameraPlant
     from kpirl_ocp.perception.scene.scene import Scene
 
     dynamics, detector = models.load_dynamics("reaching"), models.load_detector()
-    controller = Controller.build(dynamics, unpacked(learned), closed_loop)
+    controller = KeypointController.build(dynamics, unpacked(learned), closed_loop)
     distances, errors = [], []
     with Scene(rate=RATE) as scene:
         for track in tracks:

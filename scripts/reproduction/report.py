@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from experiments.study import METHODS as STUDY_METHODS
 
 from kpirl_ocp.irl.cases.tasks import TASKS
-from kpirl_ocp.irl.study import METHODS as STUDY_METHODS
+from kpirl_ocp.perception.detector.track_images import image_strips
 from kpirl_ocp.types import Array
 from reproduction import axes, drawing, placing, reaching, robustness
 from reproduction.learning import (
@@ -214,7 +215,7 @@ def _placing(page: Page, outcome: Outcome) -> None:
             for c in (DEFAULT_MORE_STEPS, *MORE_STEPS)
         }
         page.figure(
-            drawing.strips(columns, (0, 5, 10)),
+            image_strips(columns, (0, 5, 10)),
             f"Start {start}, closed loop, seed {seed}: detected keypoints filled, goal keypoints hollow",
         )
 

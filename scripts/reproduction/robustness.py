@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from kpirl_ocp.ocp.models.robot import Robot
-from kpirl_ocp.perception.scene.plant import Disturbance
+from kpirl_ocp.perception.plant.camera_plant import Disturbance
 from reproduction.data import Models
 from reproduction.learning import DEFAULT_MORE_STEPS, MORE_STEPS, Contender
 from reproduction.placing import SUCCESS, Condition, Setup, name_of, play, scores

@@ -1,4 +1,4 @@
-"""The paper's simulation study with ground-truth keypoints, as jobs (see `kpirl_ocp.irl.study`)."""
+"""The paper's simulation study with ground-truth keypoints, as jobs (see `experiments.study`)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from experiments.study import StudySettings, run_case
 
 from kpirl_ocp.irl.cases.tasks import TASKS, write_demonstrations
-from kpirl_ocp.irl.study import StudySettings, run_case
 from kpirl_ocp.ocp.models.robot import Robot
 from reproduction.settings import Preset
 from reproduction.sweep import Job, Result

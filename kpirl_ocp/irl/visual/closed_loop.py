@@ -23,19 +23,7 @@ from kpirl_ocp.irl.visual.demonstrations import positions
 from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.types import Array, Solution, Trajectory
-
-
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """What a robot knows at one moment.
-
-    keypoints: (K, 3), x, y and the confidence mu. joints: (n_joints,) [rad]. velocities: (n_joints,) [rad/s].
-    """
-
-    keypoints: Array
-    joints: Array
-    velocities: Array
+from kpirl_ocp.types import Array, Sight, Solution, Trajectory
 
 
 class Plant(Protocol):
@@ -72,7 +60,7 @@ class Execution:
 
 
 @dataclass(frozen=True, eq=False)
-class Controller:
+class KeypointController:
     """Plans with a learned cost.
 
     cost: its horizon T is the number of actions. closed_loop: plan again after every look.
@@ -89,7 +77,7 @@ class Controller:
     @classmethod
     def build(
         cls, dynamics: NetworkDynamics, cost: PlanningCost, closed_loop: bool = True, confidence: float = 0.0
-    ) -> Controller:
+    ) -> KeypointController:
         """A controller with the problem that it needs."""
         return cls(planning_problem(dynamics, cost.horizon), dynamics, cost, closed_loop, confidence)
 

@@ -7,7 +7,6 @@ the steps beyond the horizon get no weight.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -72,16 +71,3 @@ def planning_problem(dynamics: NetworkDynamics, horizon: int) -> OCP:
     """Plan with any `PlanningCost`; context is z_goal (n_z,)."""
     family = KeypointCost(TimeDependent(), effort=(0.0,) * horizon, learn_effort=True)
     return network_ocp(dynamics, family, horizon)
-
-
-def without_joints(dynamics: NetworkDynamics, joints: Sequence[int]) -> NetworkDynamics:
-    """The model with no influence of these joints on the keypoints, so that no plan moves them.
-
-    For joints that hardly moved in the training data: the network has learned their tiny motions, scaled up to unit
-    variance, and a planner would follow it far out of what was seen.
-    """
-    offsets = [dynamics.n_z + block * dynamics.n_joints for block in range(3)]  # theta, theta_dot, u
-    columns = [offset + joint for offset in offsets for joint in joints]
-    first = dynamics.mlp.weights[0].copy()
-    first[:, columns] = 0.0
-    return replace(dynamics, mlp=replace(dynamics.mlp, weights=(first, *dynamics.mlp.weights[1:])))

@@ -22,7 +22,7 @@ from kpirl_ocp.ocp.sensitivity.implicit_function import Gradients
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 
-class Controller:
+class ExportedSolver:
     """A solver (`Solver`) whose work is done by an exported folder, for the problem that was exported.
 
     Bounds are those of the problem that `solve` is called with. Not for use in several threads at once.

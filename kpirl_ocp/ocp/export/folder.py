@@ -151,7 +151,7 @@ const char {PREFIX}_exported_version[] = "{described}";
 
 
 def _manifest(problem: OCP, solver: Solver, target: Target, prefix: str, psi: Array, files: Mapping[str, str]) -> str:
-    """What a Controller checks before it believes in a folder, and what a reader wants to know."""
+    """What an ExportedSolver checks before it believes in a folder, and what a reader wants to know."""
     bounds = zip(("state", "action"), (problem.state_bounds, problem.action_bounds), strict=True)
     content = {
         "format": FORMAT,

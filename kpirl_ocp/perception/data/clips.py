@@ -1,19 +1,16 @@
-"""What training reads: directories of recordings, and videos of any kind without labels."""
+"""Clips to train on: directories of recordings, and videos of any kind without labels."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from tqdm import tqdm
-
-from kpirl_ocp.episodes import ArmTrack, episode_path, iterate_episodes, read_meta
+from kpirl_ocp.episodes import episode_path, iterate_episodes, read_meta
 from kpirl_ocp.errors import EpisodeError
 from kpirl_ocp.perception.data.decoding import VIDEO_SUFFIXES
 from kpirl_ocp.perception.data.pictures import natural_order
-from kpirl_ocp.perception.data.recordings import ArmRecording, Recording, read_hand
+from kpirl_ocp.perception.data.recordings import Recording, read_hand
 from kpirl_ocp.perception.data.video import Frames, read_demonstration
-from kpirl_ocp.perception.detector.detector import KeypointDetector
 
 _RATE = 5.0  # [Hz] at which a person's video is read
 
@@ -41,20 +38,3 @@ def unlabelled(paths: Sequence[str | Path]) -> list[Frames]:
 def _videos_in(directory: Path) -> list[Path]:
     found = [path for path in directory.iterdir() if path.suffix.lower() in VIDEO_SUFFIXES]
     return sorted(found, key=natural_order)
-
-
-def detect_tracks(detector: KeypointDetector, directory: str | Path) -> list[ArmTrack]:
-    """The keypoints of all recordings of the robot in a directory, one recording in memory at a time."""
-    directory = Path(directory)
-    count = read_meta(directory)["episodes"]
-    clips = tqdm(iterate_episodes(directory, count, ArmRecording), f"detect {directory.name}", count, unit="episode")
-    return [
-        ArmTrack(
-            keypoints=detector.detect(clip.images),
-            times=clip.times,
-            joints=clip.joints,
-            velocities=clip.velocities,
-            actions=clip.actions,
-        )
-        for clip in clips
-    ]

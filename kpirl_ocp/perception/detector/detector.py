@@ -11,14 +11,13 @@ import numpy as np
 import torch
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.model_cards import DETECTOR, fitting, read_model, write_model
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector.autoencoder import KeypointAutoencoder
 from kpirl_ocp.perception.detector.keypoints import sharpened
 from kpirl_ocp.perception.detector.training import resize
-from kpirl_ocp.perception.model_files import fitting, read_model, write_model
 from kpirl_ocp.types import Array
 
-KIND = "kpirl_ocp.detector"
 _BATCH = 64
 
 
@@ -34,18 +33,18 @@ class KeypointDetector:
 
     @classmethod
     def load(cls, path: str | Path) -> KeypointDetector:
-        """The detector of a card `path` (.json) and the weights beside it. Raises EpisodeError for damaged files."""
-        card, tensors = read_model(Path(path), KIND)
+        """The detector of a card `path` (.json) and the weights beside it. Raises ModelError for damaged files."""
+        card, tensors = read_model(Path(path), DETECTOR)
         with fitting(path):
-            build = card["architecture"]
+            build = card.entries["architecture"]
             model = KeypointAutoencoder(build["size"], build["keypoints"], build["encoder"], build["filters"])
-            model.load_state_dict({name: torch.from_numpy(value) for name, value in tensors.items()})
+            model.load_state_dict({name: torch.from_numpy(value) for name, value in tensors.left.items()})
         return cls(model.eval(), build["size"])
 
     def save(self, path: str | Path, card: Mapping[str, Any]) -> Path:
         """Write weights and card; `card` needs the "architecture": size, keypoints, encoder, filters."""
         tensors = {name: value.contiguous().numpy() for name, value in self.model.state_dict().items()}
-        return write_model(Path(path), KIND, tensors, card)
+        return write_model(Path(path), DETECTOR, tensors, card)
 
     def detect(self, images: Frames) -> Array:
         """Keypoints (n, K, 3) of images (n, H, W, 3) uint8 RGB, square."""

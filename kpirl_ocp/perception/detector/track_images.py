@@ -1,12 +1,13 @@
-"""Pictures of keypoints: contact sheets and videos with tracks."""
+"""Pictures of keypoints: contact sheets, strips of images, paths, and videos with tracks."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -64,3 +65,37 @@ def with_tracks(images: Frames, keypoints: Array) -> Frames:
             cv2.circle(canvas, trail[-1].tolist(), 5, rgb, -1, cv2.LINE_AA)
         drawn.append(canvas)
     return np.array(drawn, np.uint8)
+
+
+def image_strips(columns: Mapping[str, tuple[Frames, Array, Array]], times: Sequence[int]) -> Figure:
+    """Columns of images (3, S, S, 3) with detected keypoints (3, K, 3), filled, and goal ones (n_z,), hollow."""
+    figure = Figure(figsize=(1.9 * len(columns), 6.1), layout="constrained")
+    axes = figure.subplots(3, len(columns))
+    for column, (title, (images, keypoints, goal)) in enumerate(columns.items()):
+        size = images.shape[1]
+        for row, axis in enumerate(axes[:, column]):
+            axis.imshow(images[row], extent=(0, size, size, 0))
+            here, there = to_pixels(keypoints[row], size), to_pixels(np.reshape(goal, (-1, 2)), size)
+            for colour, (x, y), (goal_x, goal_y) in zip(COLOURS, here, there, strict=False):
+                axis.scatter(goal_x, goal_y, s=46, facecolors="none", edgecolors=colour, linewidths=1.3)
+                axis.scatter(x, y, s=15, color=colour)
+            axis.set(xticks=[], yticks=[], xlim=(0, size), ylim=(size, 0))
+        axes[0, column].set_title(title, fontsize=9)
+    for row, time in enumerate(times):
+        axes[row, 0].set_ylabel(f"t = {time}")
+    return figure
+
+
+def keypoint_paths(axis: Axes, wanted: Array, done: Array, size: int) -> None:
+    """Demonstrated paths of keypoints, dotted, and executed ones: z (T+1, 2 K) each, rings at the goals.
+
+    size: side of the image [pixels].
+    """
+    for index, colour in zip(range(wanted.shape[1] // 2), COLOURS, strict=False):
+        there, here = (to_pixels(z[:, 2 * index : 2 * index + 2], size) for z in (wanted, done))
+        axis.plot(*there.T, ":", color=colour)
+        axis.plot(*here.T, ".-", color=colour, linewidth=1)
+        axis.scatter(*there[-1], s=60, facecolors="none", edgecolors=colour)
+    axis.set(title="demonstrated (dotted) and done", xlabel="x [pixels]", ylabel="y [pixels]", aspect="equal")
+    axis.invert_yaxis()
+    axis.grid(alpha=0.3)

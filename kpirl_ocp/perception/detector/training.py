@@ -19,10 +19,10 @@ from torch import Tensor
 from tqdm import tqdm
 
 from kpirl_ocp.errors import EpisodeError, ProblemError
-from kpirl_ocp.perception.checkpoint import Checkpoint
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector import losses
 from kpirl_ocp.perception.detector.autoencoder import EncoderKind, KeypointAutoencoder
+from kpirl_ocp.perception.detector.checkpoint import Checkpoint
 from kpirl_ocp.perception.detector.losses import LossWeights
 from kpirl_ocp.types import Array
 

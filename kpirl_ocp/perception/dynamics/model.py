@@ -17,9 +17,8 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from kpirl_ocp.perception.model_files import fitting, read_model, write_model
+from kpirl_ocp.model_cards import DYNAMICS, fitting, read_model, write_model
 
-KIND = "kpirl_ocp.dynamics"
 Activation = Literal["relu", "tanh", "softplus", "silu"]
 ACTIVATIONS: Mapping[str, type[nn.Module]] = {
     "relu": nn.ReLU,
@@ -78,15 +77,16 @@ class DynamicsModel(nn.Module):
         names = {f"{kind}_{what}": f"{kind}.{what}" for kind in ("input", "output") for what in ("mean", "scale")}
         tensors = {names.get(name, name): value.numpy() for name, value in self.state_dict().items()}
         build = {"inputs": self.sizes, "hidden": list(self.hidden), "activation": self.activation, "residual": True}
-        return write_model(Path(path), KIND, tensors, build | dict(card))
+        return write_model(Path(path), DYNAMICS, tensors, build | dict(card))
 
     @classmethod
     def load(cls, path: str | Path) -> DynamicsModel:
-        """The model of a card. Raises EpisodeError for missing or damaged files."""
-        card, tensors = read_model(Path(path), KIND)
+        """The model of a card. Raises ModelError for missing or damaged files."""
+        card, tensors = read_model(Path(path), DYNAMICS)
         with fitting(path):
-            sizes = card["inputs"]
-            model = cls(sizes["keypoints"], sizes["joints"], card["activation"], tuple(card["hidden"]))
-            renamed = {name.replace("put.", "put_"): torch.from_numpy(value) for name, value in tensors.items()}
+            build = card.entries
+            sizes = build["inputs"]
+            model = cls(sizes["keypoints"], sizes["joints"], build["activation"], tuple(build["hidden"]))
+            renamed = {name.replace("put.", "put_"): torch.from_numpy(value) for name, value in tensors.left.items()}
             model.load_state_dict(renamed)
         return model.eval()

@@ -53,3 +53,10 @@ class Camera:
         image = (np.asarray(points, float) @ rotation.T + translation) @ self.intrinsics.T
         depth = image[..., 2:]
         return np.where(depth > 0, image[..., :2] / np.where(depth > 0, depth, 1.0), np.nan)
+
+    def in_plane(self, pixel: ArrayLike) -> Array:
+        """The point (3,) [m] of the arm's plane y = 0 that appears at `pixel` (2,)."""
+        rotation, _ = self.extrinsics
+        ray = rotation.T @ np.linalg.solve(self.intrinsics, np.append(np.asarray(pixel, float), 1.0))
+        eye = np.array(self.eye)
+        return eye - eye[1] / ray[1] * ray

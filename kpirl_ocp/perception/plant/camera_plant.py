@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.keypoints import to_pixels
-from kpirl_ocp.perception.scene.camera import Camera
 from kpirl_ocp.perception.scene.scene import JointState, Scene
 from kpirl_ocp.perception.scene.world import Frame
-from kpirl_ocp.types import Array
+from kpirl_ocp.types import Array, Sight
 
 _GREY = 128
 
@@ -48,15 +47,6 @@ class Disturbance:
         return image
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """One look: keypoints (K, 3), joints (n,) [rad], velocities (n,) [rad/s]."""
-
-    keypoints: Array
-    joints: Array
-    velocities: Array
-
-
 @dataclass(eq=False)
 class CameraPlant:
     """A scene with a detector; `images` and `places` remember every look: what was seen, and where the bottle was.
@@ -71,23 +61,15 @@ class CameraPlant:
     images: list[Frames] = field(default_factory=list)
     places: list[Array] = field(default_factory=list)
 
-    def look(self) -> View:
+    def look(self) -> Sight:
         """Render, spoil, detect and measure."""
         frame = self.scene.render()
         image = self.disturbance.spoil(frame, self.detector, len(self.images), self.rng)
         self.images.append(image)
         self.places.append(frame.place)
         state: JointState = self.scene.measure()
-        return View(self.detector.detect(image[None])[0], state.positions, state.velocities)
+        return Sight(self.detector.detect(image[None])[0], state.positions, state.velocities)
 
     def act(self, u: ArrayLike) -> None:
         """Command joint displacements u (7,) [rad] and wait one period of the scene."""
         self.scene.step(u)
-
-
-def in_plane(camera: Camera, pixel: ArrayLike) -> Array:
-    """The point (3,) [m] of the arm's plane y = 0 that appears at `pixel` (2,)."""
-    rotation, _ = camera.extrinsics
-    ray = rotation.T @ np.linalg.solve(camera.intrinsics, np.append(np.asarray(pixel, float), 1.0))
-    eye = np.array(camera.eye)
-    return eye - eye[1] / ray[1] * ray

@@ -1,0 +1,32 @@
+"""Recordings of the robot as tracks of detected keypoints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tqdm import tqdm
+
+from kpirl_ocp.episodes import ArmTrack, iterate_episodes, read_meta
+from kpirl_ocp.perception.data.recordings import ArmRecording
+from kpirl_ocp.perception.detector.detector import KeypointDetector
+
+
+def detect_tracks(detector: KeypointDetector, directory: str | Path) -> list[ArmTrack]:
+    """The keypoints of all recordings of the robot in a directory, one recording in memory at a time.
+
+    Raises:
+        EpisodeError: an episode is missing, malformed or not finite.
+    """
+    directory = Path(directory)
+    count = read_meta(directory)["episodes"]
+    clips = tqdm(iterate_episodes(directory, count, ArmRecording), f"detect {directory.name}", count, unit="episode")
+    return [
+        ArmTrack(
+            keypoints=detector.detect(clip.images),
+            times=clip.times,
+            joints=clip.joints,
+            velocities=clip.velocities,
+            actions=clip.actions,
+        )
+        for clip in clips
+    ]

@@ -1,0 +1,1 @@
+"""The simulated robot behind its camera and detector, for a controller to act on."""

@@ -1,0 +1,1 @@
+"""Experiments that compare methods, for the scripts that run them."""
