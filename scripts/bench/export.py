@@ -19,7 +19,7 @@ from bench.problem import random_network
 from bench.settings import Preset
 from kpirl_ocp import Ipopt, Riccati, Solution
 from kpirl_ocp.irl.cases.network_cases import N_Z, NetworkCase, placing_case
-from kpirl_ocp.ocp.codegen.shared_library import NATIVE, PORTABLE
+from kpirl_ocp.ocp.codegen.compiler import EXPORT_FLAGS, EXPORT_FLAGS_NATIVE
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.solvers.sqp import SQP
@@ -30,7 +30,7 @@ SOLVERS = {REAL_TIME: Riccati(steps=1, barrier=BARRIER), CONVERGED: Riccati(1e-8
 SETTINGS = {REAL_TIME: ("1", str(BARRIER), "1e-8"), CONVERGED: ("0", "0", "1e-8")}  # steps, barrier, tolerance
 FLOAT, NATIVELY = "native, single precision", "native"
 SEQUENTIAL = "sqpmethod and qrqp, once"
-BUILDS = {"portable": PORTABLE, NATIVELY: NATIVE, FLOAT: (*NATIVE, "-DKPIRL_MPC_FLOAT")}
+BUILDS = {"portable": EXPORT_FLAGS, NATIVELY: EXPORT_FLAGS_NATIVE, FLOAT: (*EXPORT_FLAGS_NATIVE, "-DKPIRL_MPC_FLOAT")}
 _NOISE, _RADIUS, _PERIOD = 1e-3, 0.03, 50
 _FEWER = 10  # so many times fewer steps that converge
 _SLOW = 5  # steps of Ipopt, which takes a hundred times as long

@@ -31,7 +31,7 @@ from kpirl_ocp.irl.hypergradients.certificate import (
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.ocp.codegen.compiler import compiled
-from kpirl_ocp.ocp.codegen.numpy_calls import own
+from kpirl_ocp.ocp.codegen.numpy_calls import call_function
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints, finish
@@ -143,7 +143,7 @@ def sweep(
     starts, psis, contexts = (np.concatenate(parts) for parts in zip(*inputs, strict=True))
     actions = np.tile(guess_actions(problem, guess), (len(inputs), 1))
     observed = np.concatenate([seen(problem, demonstration).T for demonstration in demonstrations])
-    evaluate = own(_function(problem, solver, loss, last, checkpoint, len(inputs)))
+    evaluate = call_function(_function(problem, solver, loss, last, checkpoint, len(inputs)))
     (outputs,) = evaluate(actions, starts, psis, contexts, observed)
     return [_result(problem, solver, last, output) for output in outputs.reshape(len(inputs), -1)]
 

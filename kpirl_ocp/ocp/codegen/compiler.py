@@ -1,8 +1,10 @@
-"""Native code: a CasADi function compiled by the system's C compiler, cached by content.
+"""The system's C compiler, with a cache of shared libraries by content.
+
+`compiled` turns a CasADi function into machine code; without a compiler it returns the function itself (CasADi's
+virtual machine), with one warning for the process. `compile_folder` compiles the C of an exported solver.
 
 The cache is shared between processes and bounded: beyond `_CACHE_BYTES` the libraries that were not used for longest
-are removed. Without a compiler the function itself is returned (CasADi's virtual machine), with one warning for the
-process.
+are removed.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from pathlib import Path
 
 import casadi as ca
 
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels
 
 # No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order. The -fno flags only promise
@@ -36,15 +39,18 @@ FLAGS = (
     "-fPIC",
     "-shared",
 )
+# Those of the exported CMakeLists.txt, for any processor of its kind; and for this one alone.
+EXPORT_FLAGS = ("-std=c99", "-O3", "-fno-math-errno", "-fno-trapping-math")
+EXPORT_FLAGS_NATIVE = (*EXPORT_FLAGS, "-march=native", "-ffp-contract=fast")
 _CACHE_BYTES = 512 * 2**20
 
 
 def compiled(function: ca.Function) -> ca.Function:
     """The same function as machine code; the function itself when there is no C compiler."""
-    return together([function])[0]
+    return compile_all([function])[0]
 
 
-def together(functions: Sequence[ca.Function]) -> list[ca.Function]:
+def compile_all(functions: Sequence[ca.Function]) -> list[ca.Function]:
     """The same for several functions, whose common parts are compiled once."""
     command = compiler()
     if command is None:
@@ -75,6 +81,30 @@ def _library(compiler: str, name: str, source: str) -> Path:
     return cached(name, key, lambda library: _build(compiler, source, library))
 
 
+def compile_folder(folder: Path, flags: Sequence[str] = EXPORT_FLAGS_NATIVE, compiler: str | None = None) -> Path:
+    """Compile the C of a folder to a shared library, unless the cache has it.
+
+    Args:
+        folder: holds the sources `*.c` and headers `*.h`.
+        flags: of the compiler, beside those of a shared library.
+        compiler: its command; by default the system's.
+
+    Raises:
+        ProblemError: without a compiler, or with its own words when it fails.
+    """
+    compiler = compiler or find_compiler()
+    if compiler is None:
+        raise ProblemError("no C compiler (cc, gcc, clang) was found: install one, or solve in Python.")
+    sources = sorted(folder.glob("*.c"))
+    texts = [path.read_text() for path in sorted([*sources, *folder.glob("*.h")])]
+    options = [*flags, "-fPIC", "-shared"]
+    key = "\0".join([*texts, compiler, identity(compiler), *options])
+    try:
+        return cached(folder.name or "controller", key, lambda target: link(compiler, options, sources, target))
+    except subprocess.CalledProcessError as error:
+        raise ProblemError(f"{compiler} could not compile {folder}{os.sep}*.c: {error.stderr}") from error
+
+
 def cached(name: str, key: str, build: Callable[[Path], None]) -> Path:
     """The library with this key: from the cache, marked as used, or built by `build(path)`."""
     library = cache_directory() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
@@ -90,34 +120,39 @@ def cached(name: str, key: str, build: Callable[[Path], None]) -> Path:
 
 def _evict(newest: Path) -> None:
     """Remove the libraries that were not used for longest, until the cache fits; never the newest."""
-    found = []
+    libraries = []
     for path in newest.parent.glob("*.so"):
         with contextlib.suppress(FileNotFoundError):  # removed by another process meanwhile
-            found.append((path.stat().st_mtime_ns, path.stat().st_size, path))
-    excess = sum(size for _, size, _ in found) - _CACHE_BYTES
-    for _, size, path in sorted(found):
+            libraries.append((path.stat().st_mtime_ns, path.stat().st_size, path))
+    excess = sum(size for _, size, _ in libraries) - _CACHE_BYTES
+    for _, size, path in sorted(libraries):
         if excess > 0 and path != newest:
             path.unlink(missing_ok=True)
             excess -= size
 
 
 def cache_directory() -> Path:
-    """Where compiled code is kept: $XDG_CACHE_HOME/kpirl_ocp, by default ~/.cache/kpirl_ocp."""
+    """The directory of compiled code: $XDG_CACHE_HOME/kpirl_ocp, by default ~/.cache/kpirl_ocp."""
     root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(root) / "kpirl_ocp"
 
 
+def find_compiler() -> str | None:
+    """The path of the system's C compiler; None if there is none."""
+    return next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+
+
 @lru_cache(maxsize=1)
 def compiler() -> str | None:
-    """The system's C compiler; None, with a warning, if there is none."""
-    path = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    """The same, with a warning if there is none; looked for once in a process."""
+    path = find_compiler()
     if path is None:
         warn_slow("no C compiler (cc, gcc, clang) was found")
     return path
 
 
 def warn_slow(reason: str) -> None:
-    """Say why there is no machine code, and what that means."""
+    """Warn that functions run without machine code, for a reason."""
     consequence = "this runs on CasADi's virtual machine, with the same results, several times slower."
     warnings.warn(f"{reason}: {consequence}", RuntimeWarning, stacklevel=3)
 

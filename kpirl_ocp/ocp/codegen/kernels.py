@@ -11,7 +11,7 @@ from __future__ import annotations
 import inspect
 import re
 
-from kpirl_ocp.ocp.codegen import copy_elision as fewer_copies
+from kpirl_ocp.ocp.codegen import copy_elision
 
 _KERNEL = r"""
 #if defined(__AVX512F__)
@@ -235,8 +235,8 @@ static void casadi_tanh(const casadi_real* x, casadi_int n, casadi_real* y) {
 
 """
 
-SOURCES = _KERNEL + _COPY + _TANH + inspect.getsource(fewer_copies)
-"""What `with_fast_kernels` makes of generated C depends on."""
+SOURCES = _KERNEL + _COPY + _TANH + inspect.getsource(copy_elision)
+"""All text on which the result of `with_fast_kernels` depends; for the key of a cache."""
 _BODIES = {"casadi_mtimes_dense": _KERNEL.lstrip(), "casadi_copy": _COPY}
 _TANH_LOOP = re.compile(r"for \(i=0, rr=([^,]+), cs=([^;]+); i<(\d+); \+\+i\) \*rr\+\+ = tanh\( ?\*cs\+\+ ?\);")
 
@@ -244,14 +244,14 @@ _TANH_LOOP = re.compile(r"for \(i=0, rr=([^,]+), cs=([^;]+); i<(\d+); \+\+i\) \*
 def with_fast_kernels(source: str) -> str:
     """Generated C with its dense matrix product, copies and tanh of arrays replaced, and with fewer copies.
 
-    What is not in it is not added.
+    Nothing is added for functions that it does not contain.
     """
     for name, body in _BODIES.items():
         start = source.find(f"void {name}(")
         if start >= 0:
             end = source.index("\n}\n", start) + len("\n}\n")
             source = source[:start] + body + source[end:]
-    source = fewer_copies.with_fewer_copies(source)
+    source = copy_elision.with_fewer_copies(source)
     source, found = _TANH_LOOP.subn(r"casadi_tanh(\2, \3, \1);", source)
     if found:
         at = re.search(r"#define casadi_int .*\n(#endif\n)?", source)

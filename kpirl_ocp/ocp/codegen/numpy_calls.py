@@ -10,7 +10,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.codegen.compiler import together
+from kpirl_ocp.ocp.codegen.compiler import compile_all
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
 
@@ -45,7 +45,7 @@ class Call:
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """New flat arrays, one per output; the small ones share one block of memory."""
-        kept = self._hand_over(arguments, len(self._fixed))
+        kept = self._set_arguments(arguments, len(self._fixed))
         if len(self._fixed) + len(kept) != len(self._sizes_in):
             raise ValueError(f"{len(kept)} arguments were given, expected {len(self._sizes_in) - len(self._fixed)}.")
         large = {i: np.empty(self._sizes_out[i]) for i in self._large}
@@ -57,11 +57,11 @@ class Call:
 
     def fix(self, *arguments: Array) -> Call:
         """The same object, with its first arguments given for all later calls."""
-        self._fixed = self._hand_over(arguments, 0)
+        self._fixed = self._set_arguments(arguments, 0)
         return self
 
-    def _hand_over(self, arguments: Sequence[Array], first: int) -> list[Array]:
-        """The arrays that CasADi now reads, which have to be kept until it is done."""
+    def _set_arguments(self, arguments: Sequence[Array], first: int) -> list[Array]:
+        """Set arguments from number `first` on; returns the arrays that CasADi reads, to be kept until it is done."""
         kept = []
         for i, argument in enumerate(arguments, start=first):
             array, memory = np.asarray(argument, float), self._inputs[i]
@@ -77,30 +77,33 @@ class Call:
 
 
 def call(problem: OCP, build: Build) -> Call:
-    """The function `build(problem)`, ready to be called: compiled, unless the problem is too small to repay it."""
+    """This thread's `Call` of the function `build(problem)`; compiled, unless the problem is too small to repay it.
+
+    All its arguments are open, whatever an earlier user has fixed.
+    """
     return call_one_of(problem, (build,), build)
 
 
 def call_one_of(problem: OCP, builds: tuple[Build, ...], build: Build) -> Call:
     """The same, compiled together with others that share most of their code."""
-    return _mine("built", _built)(problem, builds, build).fix()
+    return _per_thread("builds", _built)(problem, builds, build).fix()
 
 
-def own(function: ca.Function) -> Call:
-    """This thread's object for a function; its arguments are open again."""
-    return _mine("given", Call)(function).fix()
+def call_function(function: ca.Function) -> Call:
+    """The same for a function as it is."""
+    return _per_thread("functions", Call)(function).fix()
 
 
 _thread = threading.local()
 
 
-def _mine(name: str, make: Callable[..., Call]) -> Callable[..., Call]:
-    """`make`, which remembers what it made for this thread."""
-    found: Callable[..., Call] | None = getattr(_thread, name, None)
-    if found is None:
-        found = lru_cache(maxsize=512)(make)
-        setattr(_thread, name, found)
-    return found
+def _per_thread(name: str, make: Callable[..., Call]) -> Callable[..., Call]:
+    """`make` with a cache for this thread alone."""
+    cached: Callable[..., Call] | None = getattr(_thread, name, None)
+    if cached is None:
+        cached = lru_cache(maxsize=512)(make)
+        setattr(_thread, name, cached)
+    return cached
 
 
 def _built(problem: OCP, builds: tuple[Build, ...], build: Build) -> Call:
@@ -110,16 +113,16 @@ def _built(problem: OCP, builds: tuple[Build, ...], build: Build) -> Call:
 @lru_cache(maxsize=512)
 def _native(problem: OCP, builds: tuple[Build, ...]) -> list[ca.Function]:
     functions = [build(problem) for build in builds]
-    return together(functions) if worth_compiling(problem) else functions
+    return compile_all(functions) if worth_compiling(problem) else functions
 
 
 def worth_compiling(problem: OCP) -> bool:
-    """Is the problem large enough for machine code to repay the seconds that the compiler takes?"""
+    """True if machine code repays the seconds that the compiler takes, because the problem is large enough."""
     return problem.horizon * (problem.n_states + problem.n_actions) ** 2 > _WORTH_COMPILING
 
 
 def _small(sizes: Sequence[int]) -> tuple[Array, list[slice | None]]:
-    """One block of memory for all arrays that are small, and where each is in it; None for a large one."""
+    """One block of memory for all arrays that are small, and the place of each in it; None for a large one."""
     lengths = [size if size <= _SMALL else 0 for size in sizes]
     ends = np.cumsum([0, *lengths]).tolist()
     places = [slice(*pair) if size <= _SMALL else None for pair, size in zip(pairwise(ends), sizes, strict=True)]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.c_structures import Structures, address
-from kpirl_ocp.ocp.codegen.shared_library import NATIVE, library
+from kpirl_ocp.ocp.codegen.compiler import EXPORT_FLAGS_NATIVE, compile_folder
 from kpirl_ocp.ocp.export.folder import FORMAT, dimensions, fingerprint
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
@@ -28,13 +28,15 @@ class ExportedSolver:
     Bounds are those of the problem that `solve` is called with. Not for use in several threads at once.
     """
 
-    def __init__(self, folder: str | Path, flags: Sequence[str] = NATIVE, compiler: str | None = None) -> None:
+    def __init__(
+        self, folder: str | Path, flags: Sequence[str] = EXPORT_FLAGS_NATIVE, compiler: str | None = None
+    ) -> None:
         """Build, unless the cache has it, and load. Raises ProblemError for a folder that is no controller."""
         self.folder = Path(folder)
         self.manifest = _manifest(self.folder)
         self.structures = Structures.of(self.manifest["problem"], any("_FLOAT" in flag for flag in flags))
         self._prefix = self.manifest["prefix"]
-        self._library = ctypes.CDLL(str(library(self.folder, flags, compiler)))
+        self._library = ctypes.CDLL(str(compile_folder(self.folder, flags, compiler)))
         self._function("size").restype = ctypes.c_size_t
         for name in ("message", "version"):
             self._function(name).restype = ctypes.c_char_p
