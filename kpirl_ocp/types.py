@@ -21,6 +21,11 @@ def max_or_nan(*numbers: float) -> float:
     return math.nan if any(map(math.isnan, numbers)) else max(numbers)
 
 
+def largest(values: Array) -> float:
+    """Largest absolute value, 0 for an empty array, NaN if there is one."""
+    return float(np.max(np.abs(values), initial=0.0))
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """States and actions over a horizon of T steps.
@@ -90,18 +95,41 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Multipliers:
-    """Lagrange multipliers; Lagrangian = J + dynamics.(f(s, u) - s_next) + state.s + action.u + path.h.
+    """Lagrange multipliers of
+
+        J + dynamics . (f - s_next) + state . s + action . u + path . h + path_equality . e
+          + terminal . g_T + terminal_equality . e_T
+
+    with g_T the rows of `OCP.terminal_inequality`. The gradient of this sum vanishes at a solution.
 
     dynamics: (T, n_s) costates; row t belongs to s_{t+1} = f(s_t, u_t).
-    state: (T, n_s) bounds on s_1..s_T; positive pushes from the upper, negative from the lower bound.
-    action: (T, n_u) bounds on u_0..u_{T-1}; the same signs.
+    state: (T+1, n_s) bounds on s_0 .. s_T; positive pushes from the upper, negative from the lower bound. Row 0 is
+        zero where s_0 is given.
+    action: (T, n_u) bounds on u_0 .. u_{T-1}; the same signs.
     path: (T, n_h) of h <= 0; never negative at a solution.
+    path_equality: (T, n_e) of e = 0; of either sign. None stands for a problem that has none, also below.
+    terminal: (n_gT,) of g_T <= 0; never negative at a solution.
+    terminal_equality: (n_eT,) of e_T = 0; of either sign.
     """
 
     dynamics: Array
     state: Array
     action: Array
     path: Array
+    path_equality: Array = None  # type: ignore[assignment]
+    terminal: Array = None  # type: ignore[assignment]
+    terminal_equality: Array = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        shapes = {"path_equality": (len(self.dynamics), 0), "terminal": (0,), "terminal_equality": (0,)}
+        for name, shape in shapes.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.zeros(shape))
+
+    @classmethod
+    def of_given_start(cls, dynamics: Array, state: Array, action: Array, path: Array) -> Multipliers:
+        """Of a problem with given s_0, bounds and path constraints alone; state (T, n_s) from s_1 on."""
+        return cls(dynamics, np.vstack([np.zeros((1, state.shape[1])), state]), action, path)
 
 
 @dataclass(frozen=True)

@@ -144,7 +144,7 @@ def derivatives(case: Case, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray
     problem, demonstration = case.problem, case.demonstration
     u, psi = ca.MX.sym("u", actions.size), ca.MX.sym("psi", problem.n_parameters)
     U = ca.reshape(u, problem.n_actions, problem.horizon)
-    states = problem.rollout(demonstration.s0, U, psi)
+    states = problem.rollout(demonstration.s0, U, psi, demonstration.context)
     slope = ca.gradient(problem.cost(states, U, psi, demonstration.context), u)
     loss = ca.sumsqr(problem.observe(states) - demonstration.observations.T)
     outputs = [ca.jacobian(slope, u), ca.jacobian(slope, psi), ca.gradient(loss, u), ca.gradient(loss, psi)]

@@ -100,7 +100,7 @@ def test_iiwa_reaches_a_goal_within_its_joint_limits(beyond):
     goal = robot.locate(theta + reach).ravel()
     problem = keypoint_ocp(robot, KeypointCost(Default(), effort=1e-4), 8)
     solution = Ipopt().solve(problem, keypoint_state(robot, theta), context=goal).raise_if_failed()
-    joints, pushes = solution.states[1:, 9:16], solution.multipliers.state[:, 9:16]
+    joints, pushes = solution.states[1:, 9:16], solution.multipliers.state[1:, 9:16]
     assert (lower <= joints).all()
     assert (joints <= upper).all()
     distance = np.abs(solution.states[-1, :9] - goal).max()  # [m]
@@ -218,8 +218,8 @@ def test_keypoint_problem_moves_by_displacements_and_sees_keypoints_in_its_unit(
 
 def test_keypoint_problem_is_bounded_by_joint_limits_and_largest_displacement_on_request():
     problem = keypoint_ocp(ROBOT, KeypointCost(Default()), 3, max_displacement=0.1)
-    np.testing.assert_array_equal(problem.action_bounds, [[-0.1] * N_Q, [0.1] * N_Q])
-    np.testing.assert_array_equal(np.array(problem.state_bounds)[:, N_Z : N_Z + N_Q], ROBOT.joint_limits)
+    np.testing.assert_array_equal(np.array(problem.action_bounds)[:, 0], [[-0.1] * N_Q, [0.1] * N_Q])
+    np.testing.assert_array_equal(np.array(problem.state_bounds)[:, -1, N_Z : N_Z + N_Q], ROBOT.joint_limits)
     free = keypoint_ocp(ROBOT, KeypointCost(Default()), 3, joint_limits=False)
     assert not free.has_action_bounds
     assert not free.has_state_constraints

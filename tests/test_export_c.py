@@ -126,7 +126,7 @@ def test_shift_moves_a_plan_one_step_on():
     plan = ours.solve(case.problem, seen.s0, case.psi, seen.context)
     shifted = ours.shift(case.problem, plan, case.psi)
     np.testing.assert_array_equal(shifted.states[:-1], plan.states[1:])
-    last = np.array(case.problem.dynamics(plan.states[-1], plan.actions[-1], case.psi)).ravel()
+    last = np.array(case.problem.transition(plan.states[-1], plan.actions[-1], case.psi)).ravel()
     np.testing.assert_allclose(shifted.states[-1], last, rtol=1e-14)
     for name in ("dynamics", "state", "action", "path"):
         before, after = getattr(plan.multipliers, name), getattr(shifted.multipliers, name)

@@ -10,7 +10,7 @@ from problems import integrator, pendulum
 
 from kpirl_ocp import OCP, GradientDescent, Ipopt, Riccati, Status
 from kpirl_ocp.errors import ProblemError, SolveError
-from kpirl_ocp.ocp.conditions.nlp import audit
+from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.types import Trajectory
 
 INF = np.inf
@@ -36,8 +36,9 @@ def given(case):
 
 
 def numbers(solution):
-    """Everything a solution holds, as one vector."""
+    """Everything a solution of a problem with given s_0 holds, as one vector."""
     records = vars(solution.trajectory) | vars(solution.multipliers)
+    records["state"] = records["state"][1:]
     return np.concatenate([[solution.objective], *(value.ravel() for value in records.values())])
 
 
@@ -150,7 +151,7 @@ def test_constraints_hold_and_their_multipliers_are_complementary(solver):
     path = np.array(MASS.path(solution.states.T, solution.actions.T, *AT_MASS[1:])).T
     for slack, multiplier, active in [
         (1.0 - solution.actions, multipliers.action, 2),
-        (0.6 - solution.states[1:, 1:], multipliers.state[:, 1:], 4),
+        (0.6 - solution.states[1:, 1:], multipliers.state[1:, 1:], 4),
         (-path, multipliers.path, 1),
     ]:
         assert slack.min() >= 0
@@ -159,6 +160,7 @@ def test_constraints_hold_and_their_multipliers_are_complementary(solver):
         assert np.sum(multiplier > 0.1) == np.sum(slack < 1e-9) == active
     assert multipliers.path.min() >= 0
     np.testing.assert_array_equal(multipliers.state[:, 0], 0)  # the position has no bounds
+    np.testing.assert_array_equal(multipliers.state[0], 0)  # s_0 is given
     pulled = audit(MASS, *AT_MASS[1:], solution.trajectory, replace(multipliers, path=multipliers.path - 3))
     np.testing.assert_allclose([pulled.sign, pulled.complementarity], [3, 3 * -path.min()], rtol=1e-9)
 
@@ -183,7 +185,7 @@ AT_ONE = {"action": {"action_bounds": UP}, "state": {"state_bounds": UP}, "path"
 def test_barrier_solution_has_multiplier_times_slack_equal_to_tau(solver, kind, tau, scale):
     solution = solver.with_barrier(tau).solve(one_step(lambda u, s: (scale * (u - 2) ** 2, 0), **AT_ONE[kind]), [0.0])
     u = (3 - np.sqrt(1 + 2 * tau / scale)) / 2  # 2 scale (u - 2) + tau / (1 - u) = 0
-    multiplier, slack = getattr(solution.multipliers, kind), 1 - solution.actions
+    multiplier, slack = getattr(solution.multipliers, kind)[-1:], 1 - solution.actions
     assert (solution.status, solution.barrier) == (Status.CONVERGED, tau)
     np.testing.assert_allclose(solution.actions, [[u]], rtol=0, atol=1e-10)
     np.testing.assert_allclose(multiplier * slack, [[tau]], rtol=0, atol=1e-10)

@@ -108,7 +108,7 @@ class Marked(LinearisedByStage):
 def test_stage_functions_take_the_derivatives_that_a_problem_brings():
     case = network("tanh")
     by_ad = case.problem.dynamics_derivatives
-    marked = replace(by_ad, linearise=partial(Marked, case.problem.dynamics))
+    marked = replace(by_ad, linearise=partial(Marked, case.problem.transition))
     problem = replace(case.problem, derivatives=marked)
     instance, point = random_point(case)
     arguments = (*instance.at(point.w), point.costates, np.zeros(0))
@@ -189,10 +189,10 @@ def test_residuals_that_a_step_of_refinement_reports_are_those_of_the_system(nam
 def test_dynamics_that_depend_on_psi_keep_it_and_others_do_not_repeat_it():
     network_, pendulum_ = TABLE["tanh network"]().problem, TABLE["pendulum"]().problem
     assert stages.dynamics_alone(network_).size1_in(2) == 0
-    assert stages.dynamics_alone(pendulum_) is pendulum_.dynamics
+    assert stages.dynamics_alone(pendulum_) is pendulum_.transition
     s, u, psi = (
         RNG.normal(size=network_.n_states),
         RNG.normal(size=network_.n_actions),
         RNG.normal(size=network_.n_parameters),
     )
-    np.testing.assert_array_equal(stages.dynamics_alone(network_)(s, u, []), network_.dynamics(s, u, psi))
+    np.testing.assert_array_equal(stages.dynamics_alone(network_)(s, u, []), network_.transition(s, u, psi))

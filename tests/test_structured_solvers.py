@@ -15,7 +15,7 @@ from kpirl_ocp import OCP, Fatrop, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.codegen.numpy_calls import call
-from kpirl_ocp.ocp.conditions.nlp import audit
+from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.conditions.stage_derivatives import second
 from kpirl_ocp.ocp.export.resident import _resident, resident
 from kpirl_ocp.ocp.problem.solver import solve_and_linearise
@@ -176,7 +176,7 @@ def terminal_equality(horizon):
         dynamics=ca.vertcat(s[0] + 0.1 * s[1], s[1] + 0.1 * u),
         stage_cost=u**2,
         terminal_cost=0 * s[0],
-        path_constraint=ca.vertcat(late * (s[0] - 1), late * (1 - s[0])) - 1e-9,
+        path_constraint=ca.vertcat(late * (s[0] - 1), late * (1 - s[0])) - 1e-9 + 1e-300 * u,  # with u: not at s_T
         schedule=np.eye(horizon + 1)[:, horizon - 1 : horizon],
         horizon=horizon,
     )

@@ -139,7 +139,7 @@ def _closed_loop(data: NetworkCase, solver: Solver, steps: int, warm: bool = Tru
         plan = solver.solve(data.bounded, state, psi, goal, plan)
         spent.append(1e3 * (time.perf_counter() - started))
         iterations.append(plan.iterations)
-        state = np.array(data.bounded.dynamics(state, plan.actions[0], psi)).ravel()
+        state = np.array(data.bounded.transition(state, plan.actions[0], psi)).ravel()
         state[:N_Z] += _NOISE * rng.uniform(-1, 1, N_Z)
     median, high = np.percentile(spent, [50, 99])
     times = {"median_ms": float(median), "minimum_ms": min(spent), "p99_ms": float(high), "worst_ms": max(spent)}

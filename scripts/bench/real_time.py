@@ -49,7 +49,7 @@ def _closed_loop(data: NetworkCase, controller: Controller, steps: int) -> tuple
         goal = data.goal[0] + _RADIUS * np.tile([np.cos(angle), np.sin(angle)], N_Z // 2)
         spent.append(seconds(lambda state=state, goal=goal: actions.append(controller(state, goal))))
         action = actions.pop()
-        state = np.array(data.bounded.dynamics(state, action, data.psi.ravel())).ravel()
+        state = np.array(data.bounded.transition(state, action, data.psi.ravel())).ravel()
         state[:N_Z] += _NOISE * rng.normal(size=N_Z)
         errors.append(float(np.sum((state[:N_Z] - goal) ** 2)))
     return Timing.of(spent), float(np.mean(errors))

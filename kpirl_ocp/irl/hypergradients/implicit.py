@@ -32,6 +32,7 @@ from kpirl_ocp.irl.hypergradients.certificate import (
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.scope import refuse_features
 from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import Response
@@ -131,6 +132,7 @@ def differentiate(
     derivatives: at the solution, where the solver ended with them.
     """
     s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
+    refuse_features(problem, "the implicit gradient")
     evaluate = call(problem, _loss_and_slope(loss))
     (value,), slope = evaluate(solution.states, solution.actions, seen(problem, demonstration).T)
     value = float(value)

@@ -20,6 +20,7 @@ from kpirl_ocp.irl.hypergradients.loss import Loss
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
 from kpirl_ocp.ocp.problem.scan import reverse, sum_blocks
+from kpirl_ocp.ocp.problem.scope import constant_bounds
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
 from kpirl_ocp.ocp.problem.trajectory_passes import Rollout
 from kpirl_ocp.ocp.solvers.gradient_descent import (
@@ -156,7 +157,7 @@ def _loss_and_gradients(
 
 def _kink_distance(problem: OCP, solver: GradientDescent, free: ca.MX, columns: int) -> ca.MX:
     """Smallest distances (1, B) of unprojected iterates to an action bound."""
-    bounds = (np.asarray(bound, float) for bound in problem.action_bounds)
+    bounds = constant_bounds(problem)[2:]
     finite = [(bound, np.flatnonzero(np.isfinite(bound))) for bound in bounds]
     distances = [
         by_trajectory(ca.fabs(free[rows.tolist(), :] - ca.repmat(ca.DM(bound[rows]), 1, free.size2())), columns)

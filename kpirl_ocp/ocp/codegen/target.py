@@ -36,5 +36,5 @@ class Target:
 
 def dynamics(problem: OCP) -> ca.Function:
     """(s, u, psi) -> f."""
-    inputs = [ca.MX.sym(name, problem.dynamics.size1_in(i)) for i, name in enumerate(("s", "u", "psi"))]
-    return ca.Function("dynamics", inputs, [ca.densify(problem.dynamics(*inputs))])
+    inputs = [ca.MX.sym(name, problem.transition.size1_in(i)) for i, name in enumerate(("s", "u", "psi"))]
+    return ca.Function("dynamics", inputs, [ca.densify(problem.transition(*inputs))])

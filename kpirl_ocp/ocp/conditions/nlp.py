@@ -1,9 +1,9 @@
-"""The problem as one nonlinear program (multiple shooting) and its first- and second-order conditions.
+"""The program of a problem with a given s_0, bounds and path constraints alone, for the conditions stage by stage.
 
     w = (s_1 .. s_T, u_0 .. u_{T-1}),   Lagrangian(w) = J + lambda . (f(s, u) - s_next) + mu . h + nu . w
 
-with bounds on w whose multipliers nu are positive at an upper and negative at a lower bound. Ipopt and the audit of a
-solution read the optimality conditions from here; `kpirl_ocp.ocp.conditions.stage_derivatives` has them stage by stage.
+with bounds on w whose multipliers nu are positive at an upper and negative at a lower bound. `program` has the one of
+any problem.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.types import Array, Indices, KKTResiduals, Mask, Multipliers, Trajectory, max_or_nan
+from kpirl_ocp.types import Array, Indices, Mask, Multipliers, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +76,14 @@ def transcribe(problem: OCP) -> NLP:
     actions = ca.reshape(w[steps * n_s :], n_u, steps)
 
     objective = problem.cost(states, actions, psi, context)
-    successors = problem.dynamics.map(steps)(states[:, :steps], actions, ca.repmat(psi, 1, steps))
+    successors = problem.transition.map(steps)(states[:, :steps], actions, ca.repmat(psi, 1, steps))
     defects = ca.vec(successors - states[:, 1:])
     path = ca.vec(problem.path(states, actions, psi, context))
 
     lam, mu = ca.MX.sym("lam", defects.numel()), ca.MX.sym("mu", path.numel())
     lagrangian = objective + ca.dot(lam, defects) + ca.dot(mu, path)
     point = [w, s0, psi, context]
-    bounds = [np.concatenate([np.tile(s, steps), np.tile(u, steps)]) for s, u in _bound_pairs(problem)]
+    bounds = [np.concatenate([s[1:].ravel(), u.ravel()]) for s, u in _bound_pairs(problem)]
     return NLP(
         symbols={"w": w, "p": ca.vertcat(s0, psi, context), "s0": s0, "psi": psi, "c": context},
         values=ca.Function("values", point, [objective, defects, path]),
@@ -113,7 +113,7 @@ def unpack(problem: OCP, s0: Array, w: Array) -> Trajectory:
 def unpack_multipliers(problem: OCP, lam_w: Array, lam_g: Array) -> Multipliers:
     """Multipliers of bounds (n_w,) and of defects followed by path constraints, as named arrays."""
     steps, split = problem.horizon, problem.horizon * problem.n_states
-    return Multipliers(
+    return Multipliers.of_given_start(
         dynamics=lam_g[:split].reshape(steps, problem.n_states),
         state=lam_w[:split].reshape(steps, problem.n_states),
         action=lam_w[split:].reshape(steps, problem.n_actions),
@@ -123,7 +123,7 @@ def unpack_multipliers(problem: OCP, lam_w: Array, lam_g: Array) -> Multipliers:
 
 def bound_multipliers(multipliers: Multipliers) -> Array:
     """nu (n_w,): multipliers of the bounds in the order of w."""
-    return np.concatenate([multipliers.state.ravel(), multipliers.action.ravel()])
+    return np.concatenate([multipliers.state[1:].ravel(), multipliers.action.ravel()])
 
 
 @dataclass(frozen=True)
@@ -168,29 +168,3 @@ def bounded_entries(problem: OCP) -> tuple[Indices, Array]:
     """The entries of w (n_bounds,) that have a finite lower bound, then a finite upper one, and signs -1 and 1."""
     bounds = transcribe(problem).bounded
     return bounds.entries, bounds.signs
-
-
-def audit(
-    problem: OCP, psi: Array, context: Array, trajectory: Trajectory, multipliers: Multipliers, barrier: float = 0.0
-) -> KKTResiduals:
-    """Measure the first-order conditions at a point; NaN in any function gives NaN residuals."""
-    nlp = transcribe(problem)
-    w, s0 = pack(trajectory), trajectory.states[0]
-    lam, mu = multipliers.dynamics.ravel(), multipliers.path.ravel()
-    _, defects, path = (np.array(value).ravel() for value in nlp.values(w, s0, psi, context))
-    cost_gradient, gradient = (np.array(value).ravel() for value in nlp.first(w, s0, psi, context, lam, mu))
-    rows = Inequalities.at(nlp, w, path)
-    forces = rows.forces(multipliers, barrier)
-    unequal = ~rows.equal
-    return KKTResiduals(
-        stationarity=largest(gradient + rows.push(forces, len(w))),
-        feasibility=largest(np.concatenate([defects, np.minimum(rows.slack, 0.0)])),
-        complementarity=largest((forces * rows.slack - barrier)[unequal]),
-        sign=largest(np.minimum(forces, 0.0)[unequal]),
-        scale=max_or_nan(1.0, largest(cost_gradient), largest(lam), largest(mu)),
-    )
-
-
-def largest(values: Array) -> float:
-    """Largest absolute value, 0 for an empty array, NaN if there is one."""
-    return float(np.max(np.abs(values), initial=0.0))

@@ -71,7 +71,7 @@ def _terms(problem: OCP, costates: ca.MX, forces: ca.MX) -> list[tuple[str, ca.F
     terms = [("cost", problem.stage_cost, ca.DM.ones(1, problem.horizon))]
     if problem.path_constraint is not None:
         terms.append(("path", problem.path_constraint, forces))
-    if problem.dynamics.jac_sparsity(0, 2).nnz():
+    if problem.transition.jac_sparsity(0, 2).nnz():
         terms.append(("dynamics", _dynamics(problem), costates))
     return terms
 
@@ -112,8 +112,8 @@ def _terminal(problem: OCP) -> ca.Function:
 
 def _dynamics(problem: OCP) -> ca.Function:
     """f as a function of (s, u, psi, c, d)."""
-    inputs = _inputs(problem, problem.dynamics, actions=problem.n_actions)
-    return ca.Function("dynamics", inputs, [problem.dynamics(*inputs[:3])])
+    inputs = _inputs(problem, problem.transition, actions=problem.n_actions)
+    return ca.Function("dynamics", inputs, [problem.transition(*inputs[:3])])
 
 
 def _inputs(problem: OCP, function: ca.Function, actions: int) -> list[Symbol]:

@@ -131,12 +131,12 @@ def _lagrangian(problem: OCP, slope: ca.MX, last: ca.MX, pulled: ca.MX, costates
 
 def psi_by_stage(problem: OCP, psi: ca.MX) -> ca.MX:
     """psi for every stage; (0, T) if the dynamics do not depend on it."""
-    return _repeat(problem, psi) if depends_on_psi(problem.dynamics) else ca.MX(0, problem.horizon)
+    return _repeat(problem, psi) if depends_on_psi(problem.transition) else ca.MX(0, problem.horizon)
 
 
 def dynamics_alone(problem: OCP) -> ca.Function:
     """f(s, u, psi), psi as in `psi_by_stage`."""
-    return problem.dynamics if depends_on_psi(problem.dynamics) else without_psi(problem.dynamics)
+    return problem.transition if depends_on_psi(problem.transition) else without_psi(problem.transition)
 
 
 def _repeat(problem: OCP, value: ca.MX) -> ca.MX:

@@ -17,6 +17,7 @@ from kpirl_ocp.ocp.codegen.c_structures import Structures, address
 from kpirl_ocp.ocp.codegen.compiler import EXPORT_FLAGS_NATIVE, compile_folder
 from kpirl_ocp.ocp.export.folder import FORMAT, dimensions, fingerprint
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.scope import constant_bounds, refuse_features
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.sensitivity.implicit_function import Gradients
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
@@ -113,7 +114,9 @@ class ExportedSolver:
         plan, parameters = self._plain(solution), self.structures.array(psi).ravel()
         self._call("shift", self._controller, ctypes.c_void_p(address(parameters)), ctypes.byref(plan))
         arrays = self._arrays(plan)
-        return replace(solution, trajectory=Trajectory(*arrays[:2]), multipliers=Multipliers(*arrays[2:]))
+        return replace(
+            solution, trajectory=Trajectory(*arrays[:2]), multipliers=Multipliers.of_given_start(*arrays[2:])
+        )
 
     def set(self, **settings: Any) -> None:
         """Change settings of `kpirl_mpc_settings`, such as tolerance, barrier or steps."""
@@ -146,10 +149,10 @@ class ExportedSolver:
     def _use(self, problem: OCP) -> None:
         """Check that the problem is the exported one, and take over its bounds."""
         if problem not in self._known:
+            refuse_features(problem, "the exported C")
             _check(self.folder, self.manifest, problem)
             self._known[problem] = True
-        pairs = (*problem.state_bounds, *problem.action_bounds)
-        bounds = [self.structures.array(bound) for bound in pairs]
+        bounds = [self.structures.array(bound) for bound in constant_bounds(problem)]
         self._call("set_bounds", self._controller, *(ctypes.c_void_p(address(bound)) for bound in bounds))
 
     def _input(self, problem: OCP, s0: ArrayLike, psi: ArrayLike, context: ArrayLike) -> tuple[Any, list[Array]]:
@@ -162,7 +165,7 @@ class ExportedSolver:
         parts = [problem.as_states(guess.states), problem.as_actions(guess.actions)]
         if isinstance(guess, Solution):
             multipliers = guess.multipliers
-            parts += [multipliers.dynamics, multipliers.state, multipliers.action, multipliers.path]
+            parts += [multipliers.dynamics, multipliers.state[1:], multipliers.action, multipliers.path]
         arrays = [self.structures.array(part) for part in parts]
         return self.structures.guess(*map(address, arrays)), arrays
 
@@ -172,7 +175,7 @@ class ExportedSolver:
             solution.states,
             solution.actions,
             multipliers.dynamics,
-            multipliers.state,
+            multipliers.state[1:],
             multipliers.action,
             multipliers.path,
         )
@@ -202,7 +205,7 @@ class ExportedSolver:
         self._call("get_settings", self._controller, ctypes.byref(current))
         return Solution(
             trajectory=Trajectory(*arrays[:2]),
-            multipliers=Multipliers(*arrays[2:]),
+            multipliers=Multipliers.of_given_start(*arrays[2:]),
             objective=found.objective,
             residuals=residuals,
             status=status_of(found.status),

@@ -19,6 +19,7 @@ from kpirl_ocp.ocp.codegen.templates import LICENCE, PREFIX
 from kpirl_ocp.ocp.export.records import header, number, numbers, record
 from kpirl_ocp.ocp.export.targets import target_of
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.scope import constant_bounds, refuse_features
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.types import Array
 
@@ -47,6 +48,7 @@ def export_c(
     prefix is not what it should be.
     """
     templates.check_prefix(prefix)
+    refuse_features(problem, "the exported C")
     target = target_of(problem, solver)
     n_s, n_psi, n_c = problem.n_states, problem.n_parameters, problem.n_context
     _, parameters, _ = problem.inputs(np.zeros(n_s), np.ones(n_psi) if psi is None else psi, np.zeros(n_c))
@@ -121,7 +123,7 @@ def _config(problem: OCP, target: Target) -> str:
 
 def _data(problem: OCP, solver: Solver, target: Target, psi: Array) -> str:
     """The settings, bounds, psi and version that a new controller has."""
-    bounds = ",\n    ".join(numbers(np.asarray(bound)) for bound in (*problem.state_bounds, *problem.action_bounds))
+    bounds = ",\n    ".join(numbers(bound) for bound in constant_bounds(problem))
     sizes = ", ".join(f"{name} = {value}" for name, value in dimensions(problem).items())
     described = f"kpirl_ocp {version('kpirl-ocp')}; {solver}; {sizes}".replace('"', "'")
     settings = f"{target.max_iterations}, {target.steps}, {number(target.tolerance)}, {number(target.barrier)}"
@@ -152,7 +154,7 @@ const char {PREFIX}_exported_version[] = "{described}";
 
 def _manifest(problem: OCP, solver: Solver, target: Target, prefix: str, psi: Array, files: Mapping[str, str]) -> str:
     """What an ExportedSolver checks before it believes in a folder, and what a reader wants to know."""
-    bounds = zip(("state", "action"), (problem.state_bounds, problem.action_bounds), strict=True)
+    bounds = constant_bounds(problem)
     content = {
         "format": FORMAT,
         "prefix": prefix,
@@ -160,7 +162,10 @@ def _manifest(problem: OCP, solver: Solver, target: Target, prefix: str, psi: Ar
         "problem": {
             **{name.lower(): value for name, value in dimensions(problem).items()},
             "fingerprint": fingerprint(problem),
-            "bounds": {name: [[number(x) for x in np.asarray(b)] for b in pair] for name, pair in bounds},
+            "bounds": {
+                name: [[number(x) for x in bound] for bound in pair]
+                for name, pair in (("state", bounds[:2]), ("action", bounds[2:]))
+            },
         },
         "psi": psi.tolist(),
         "versions": {name: version(name) for name in ("kpirl-ocp", "casadi", "numpy")},

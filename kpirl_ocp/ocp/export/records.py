@@ -29,7 +29,7 @@ def record(problem: OCP, solver: Solver, psi: Array, s0: ArrayLike, context: Arr
     """Solve both."""
     start, psi, goal = problem.inputs(s0, psi, context)
     cold = solver.solve(problem, start, psi, goal)
-    after = np.array(problem.dynamics(start, cold.actions[0], psi)).ravel()
+    after = np.array(problem.transition(start, cold.actions[0], psi)).ravel()
     if not cold.status.ok:  # there is nothing to continue from
         return Record(start, goal, start, cold, cold)
     return Record(start, goal, after, cold, solver.solve(problem, after, psi, goal, guess=cold))

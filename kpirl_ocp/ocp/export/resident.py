@@ -28,6 +28,7 @@ from kpirl_ocp.ocp.export.exported_solver import status_of
 from kpirl_ocp.ocp.export.folder import dimensions, sources
 from kpirl_ocp.ocp.export.riccati import target
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.scope import constant_bounds
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Trajectory
@@ -45,8 +46,7 @@ class Resident:
         self._library = ctypes.CDLL(str(library))
         self._library.kpirl_mpc_size.restype = ctypes.c_size_t
         self._thread = threading.local()
-        pairs = (*problem.state_bounds, *problem.action_bounds)
-        self._bounds = [self._structures.array(bound) for bound in pairs]
+        self._bounds = [self._structures.array(bound) for bound in constant_bounds(problem)]
 
     def solve(self, solver: Riccati, s0: Array, psi: Array, context: Array, guess: Guess) -> Solution | None:
         """See `Solver.solve`; None if the C code refuses an argument, such as a guess with NaN in it."""
@@ -70,7 +70,7 @@ class Resident:
         arrays = [views[name].copy() for name in GUESS]
         return Solution(
             trajectory=Trajectory(*arrays[:2]),
-            multipliers=Multipliers(*arrays[2:]),
+            multipliers=Multipliers.of_given_start(*arrays[2:]),
             objective=found.objective,
             residuals=KKTResiduals(found.stationarity, found.feasibility, found.complementarity, 0.0, found.scale),
             status=status_of(status),
@@ -165,5 +165,5 @@ def _parts(problem: OCP, guess: Solution | Trajectory) -> list[Array]:
     parts = [problem.as_states(guess.states), problem.as_actions(guess.actions)]
     if isinstance(guess, Solution):
         multipliers = guess.multipliers
-        parts += [multipliers.dynamics, multipliers.state, multipliers.action, multipliers.path]
+        parts += [multipliers.dynamics, multipliers.state[1:], multipliers.action, multipliers.path]
     return parts

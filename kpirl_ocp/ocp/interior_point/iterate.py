@@ -8,12 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from kpirl_ocp.ocp.codegen.numpy_calls import call, call_one_of
-from kpirl_ocp.ocp.conditions.nlp import largest
 from kpirl_ocp.ocp.conditions.stage_derivatives import by_time, first, second, values
 from kpirl_ocp.ocp.interior_point.feedback_rollout import follow
 from kpirl_ocp.ocp.interior_point.newton_step import BOUNDARY, CENTRE, Rows, corrected_step, newton_step, rows
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Trajectory, max_or_nan
+from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Trajectory, largest, max_or_nan
 
 _PUSH = 1e-2  # how far a cold start is moved inside its bounds, relative to their size and distance
 _REMAINDER = 0.1  # a step along the dynamics may end this much closer to the boundary than its linearisation
@@ -162,7 +161,7 @@ class Newton:
         problem, at, multipliers = self.problem, self._rows, guess.multipliers
         states, actions = problem.as_states(guess.states), problem.as_actions(guess.actions)
         w = np.concatenate([states[1:].ravel(), actions.ravel()])
-        nu = np.concatenate([multipliers.state.ravel(), multipliers.action.ravel()])
+        nu = np.concatenate([multipliers.state[1:].ravel(), multipliers.action.ravel()])
         z = np.concatenate([np.maximum(at.signs * nu[at.entries], 0.0), np.maximum(multipliers.path.ravel(), 0.0)])
         y = np.maximum(-at.evaluate(w, self._path(states[0], w)), 0.0)
         with np.errstate(divide="ignore"):
@@ -262,7 +261,7 @@ class Newton:
         """The multipliers as named arrays, both sides of a bound in one number."""
         steps, n_s, n_u = self.problem.horizon, self.problem.n_states, self.problem.n_actions
         net = self._rows.push(at.z, at.nu, len(at.w))
-        return Multipliers(
+        return Multipliers.of_given_start(
             dynamics=at.costates.reshape(steps, n_s),
             state=net[: steps * n_s].reshape(steps, n_s),
             action=net[steps * n_s :].reshape(steps, n_u),

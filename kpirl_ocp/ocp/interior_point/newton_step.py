@@ -82,7 +82,7 @@ class Rows:
 def rows(problem: OCP) -> Rows:
     """Sort the bounds of a problem into inequalities and fixed entries."""
     pairs = zip(problem.state_bounds, problem.action_bounds, strict=True)
-    lower, upper = (np.concatenate([np.tile(s, problem.horizon), np.tile(u, problem.horizon)]) for s, u in pairs)
+    lower, upper = (np.concatenate([np.asarray(s)[1:].ravel(), np.asarray(u).ravel()]) for s, u in pairs)
     fixed = lower == upper
     low, high = (np.flatnonzero(np.isfinite(bound) & ~fixed) for bound in (lower, upper))
     return Rows(

@@ -19,8 +19,9 @@ from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost
 from kpirl_ocp.ocp.models.keypoint_dynamics import LinearisedNetwork, NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_passes import NetworkPasses
 from kpirl_ocp.ocp.models.robot import Robot
+from kpirl_ocp.ocp.problem.checks import UNBOUNDED, Bounds, bounds_of
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
-from kpirl_ocp.ocp.problem.ocp import OCP, UNBOUNDED, Bounds, broadcast_bounds
+from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
 
 
@@ -88,7 +89,7 @@ def network_ocp(
     psi, goal, stage = ca.SX.sym("psi", n_psi), ca.SX.sym("goal", n_z), ca.SX.sym("d", schedule.shape[1])
     running = cost.stage_cost(state[:n_z], action, psi, goal, stage)
     final = cost.stage_cost(state[:n_z], ca.SX.zeros(n_q), psi, goal, stage)
-    lower, upper = broadcast_bounds("joint_limits", joint_limits, n_q)
+    lower, upper = bounds_of("joint_limits", joint_limits, (n_q,))
     free = np.full(n_z, np.inf), np.full(n_q, np.inf)
     return OCP(
         dynamics=dynamics.function(n_psi),

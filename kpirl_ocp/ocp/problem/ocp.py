@@ -1,44 +1,62 @@
 """The optimal-control problem: one class, of which keypoint planning is an instance.
 
-    minimise   sum_{t=0}^{T-1} l(s_t, u_t; psi, c, d_t)  +  l_T(s_T; psi, c, d_T)     over u_0 .. u_{T-1}
-    subject to s_{t+1} = f(s_t, u_t; psi),  s_0 given,
-               u_min <= u_t <= u_max,  s_min <= s_{t+1} <= s_max,  h(s_t, u_t; psi, c, d_t) <= 0,   t = 0 .. T-1
+    minimise   sum_{t=0}^{T-1} l(s_t, u_t; psi, c, d_t)  +  l_T(s_T; psi, c, d_T)     over u_0 .. u_{T-1}, free s_0
+    subject to s_{t+1} = f(s_t, u_t; psi, c, d_t),
+               h(s_t, u_t; psi, c, d_t) <= 0,  e(s_t, u_t; psi, c, d_t) = 0,  u_min,t <= u_t <= u_max,t,   t = 0 .. T-1
+               h_T(s_T; psi, c, d_T) <= 0,     e_T(s_T; psi, c, d_T) = 0,     s_min,t <= s_t <= s_max,t,   t = 1 .. T
 
 psi are the learned parameters, c is the context of one demonstration, and d_t, the schedule, holds numbers that change
-from stage to stage (a time basis, a reference), so that one stage function serves all stages.
+from stage to stage (a time basis, a reference, a step length), so that one stage function serves all stages.
+
+Rows of h that do not depend on the action hold at s_T too, with d_T: `OCP.terminal_inequality` lists them before those
+of h_T. s_0 is given, and then not bounded; or it is free within `initial_bounds`, entry by entry.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.checks import (
+    UNBOUNDED,
+    Bounds,
+    bounds_of,
+    check_function,
+    horizon_of,
+    matrix,
+    schedule_of,
+    vector,
+)
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
-from kpirl_ocp.types import Array, Trajectory
-
-Bounds = tuple[ArrayLike, ArrayLike]
-UNBOUNDED: Bounds = (-np.inf, np.inf)
+from kpirl_ocp.ocp.problem.statement import state_functions
+from kpirl_ocp.types import Array, Indices, Mask, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class OCP:
     """An optimal-control problem in stage functions (`ca.Function`, SX or MX).
 
-    dynamics: f(s, u, psi) -> s_next (n_s,).
+    dynamics: f(s, u, psi, c, d) -> s_next (n_s,); f(s, u, psi) is accepted, too, and given the other two.
     stage_cost: l(s, u, psi, c, d) -> scalar.
     terminal_cost: l_T(s, psi, c, d) -> scalar.
     horizon: T, number of actions.
-    path_constraint: h(s, u, psi, c, d) -> (n_h,), to be <= 0; None for none.
+    path_constraint: h(s, u, psi, c, d) -> (n_h,), to be <= 0 at t = 0 .. T-1; rows without u at s_T too. None for none.
+    path_equality: e(s, u, psi, c, d) -> (n_e,), to be 0 at t = 0 .. T-1; None for none.
+    terminal_constraint: h_T(s, psi, c, d) -> (n_hT,), to be <= 0 at s_T; None for none.
+    terminal_equality: e_T(s, psi, c, d) -> (n_eT,), to be 0 at s_T; None for none.
     observation: s -> z (n_z,), what a demonstration shows of a state; None for the state itself.
-    action_bounds, state_bounds: (lower, upper), each broadcast to (n_u,) or (n_s,). The given s_0 is not bounded.
+    action_bounds: (lower, upper), each broadcast to (T, n_u).
+    state_bounds: (lower, upper), each broadcast to (T+1, n_s). Row 0 counts for the free entries of s_0 alone.
+    initial_bounds: (lower, upper) of s_0, each broadcast to (n_s,): free where they differ; where they are equal, s_0
+        is given by the argument s0, whatever their value. None: all of s_0 is given.
     schedule: (T+1, n_d), row t is d_t.
-    derivatives: of the dynamics, where something better than CasADi's AD is known.
+    derivatives: of dynamics that depend on neither c nor d, where something better than CasADi's AD is known.
 
     Raises ProblemError when dimensions disagree. `OCP.from_expressions` builds one from symbols.
     """
@@ -53,67 +71,76 @@ class OCP:
     state_bounds: Bounds = UNBOUNDED
     schedule: ArrayLike | None = field(default=None, repr=False)
     derivatives: DynamicsDerivatives | None = field(default=None, repr=False)
+    path_equality: ca.Function | None = field(default=None, kw_only=True)
+    terminal_constraint: ca.Function | None = field(default=None, kw_only=True)
+    terminal_equality: ca.Function | None = field(default=None, kw_only=True)
+    initial_bounds: Bounds | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.horizon, int | np.integer) or isinstance(self.horizon, bool) or self.horizon < 1:
-            raise ProblemError(f"horizon must be a whole number of at least 1 step, got {self.horizon!r}.")
-        object.__setattr__(self, "horizon", int(self.horizon))
-        schedule = np.zeros((self.horizon + 1, 0)) if self.schedule is None else np.asarray(self.schedule, float)
-        if schedule.ndim != 2 or len(schedule) != self.horizon + 1 or not np.isfinite(schedule).all():
-            raise ProblemError(
-                f"schedule must be finite and (T+1, n_d) = ({self.horizon + 1}, n_d), got {schedule.shape}."
-            )
-        object.__setattr__(self, "schedule", schedule)
-        self._check_signatures(schedule.shape[1])
-        object.__setattr__(self, "action_bounds", broadcast_bounds("action_bounds", self.action_bounds, self.n_actions))
-        object.__setattr__(self, "state_bounds", broadcast_bounds("state_bounds", self.state_bounds, self.n_states))
+        object.__setattr__(self, "horizon", horizon_of(self.horizon))
+        object.__setattr__(self, "schedule", schedule_of(self.schedule, self.horizon))
+        self._check_signatures(np.asarray(self.schedule).shape[1])
+        steps, n_s, n_u = self.horizon, self.n_states, self.n_actions
+        shapes = {"action_bounds": (steps, n_u), "state_bounds": (steps + 1, n_s), "initial_bounds": (n_s,)}
+        for name, shape in shapes.items():
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, bounds_of(name, getattr(self, name), shape))
+        if (self.limits[0][0] > self.limits[1][0]).any():
+            raise ProblemError("initial_bounds and row 0 of state_bounds must leave s_0 some value.")
+        if self.derivatives is not None and self.dynamics_see_stage:
+            raise ProblemError("derivatives must be left out where the dynamics depend on the context or the schedule.")
 
     @classmethod
     def from_expressions(
         cls,
         *,
         state: ca.MX | ca.SX,
-        action: ca.MX | ca.SX,
         dynamics: ca.MX | ca.SX,
-        stage_cost: ca.MX | ca.SX,
         horizon: int,
+        action: ca.MX | ca.SX | None = None,
+        stage_cost: ca.MX | ca.SX | float = 0.0,
         terminal_cost: ca.MX | ca.SX | float = 0.0,
         parameters: ca.MX | ca.SX | None = None,
         context: ca.MX | ca.SX | None = None,
         stage: ca.MX | ca.SX | None = None,
         path_constraint: ca.MX | ca.SX | None = None,
+        path_equality: ca.MX | ca.SX | None = None,
+        terminal_constraint: ca.MX | ca.SX | None = None,
+        terminal_equality: ca.MX | ca.SX | None = None,
         observation: ca.MX | ca.SX | None = None,
         action_bounds: Bounds = UNBOUNDED,
         state_bounds: Bounds = UNBOUNDED,
+        initial_bounds: Bounds | None = None,
         schedule: ArrayLike | None = None,
     ) -> OCP:
         """State a problem in CasADi expressions of the symbols state, action, parameters, context and stage (d_t).
 
-        Symbols that do not occur may be left out. All must be of one kind, SX or MX.
+        Symbols that do not occur may be left out, an action too. All must be of one kind, SX or MX.
         """
-        s, u = state, action
-        nothing = type(state).sym("none", 0)
-        psi, c, d = (nothing if symbol is None else symbol for symbol in (parameters, context, stage))
-
-        def function(name: str, inputs: Sequence[ca.MX | ca.SX], output: ca.MX | ca.SX | float) -> ca.Function:
-            try:
-                return ca.Function(name, inputs, [output])
-            except RuntimeError as error:
-                raise ProblemError(
-                    f"{name}: its symbols are not among those passed in. CasADi says: {error}"
-                ) from error
-
+        symbols = {"state": state, "action": action, "parameters": parameters, "context": context, "stage": stage}
+        functions = state_functions(
+            symbols,
+            dynamics=dynamics,
+            stage_cost=stage_cost,
+            terminal_cost=terminal_cost,
+            path_constraint=path_constraint,
+            path_equality=path_equality,
+            terminal_constraint=terminal_constraint,
+            terminal_equality=terminal_equality,
+            observation=observation,
+        )
         return cls(
-            dynamics=function("dynamics", [s, u, psi], dynamics),
-            stage_cost=function("stage_cost", [s, u, psi, c, d], stage_cost),
-            terminal_cost=function("terminal_cost", [s, psi, c, d], terminal_cost),
+            **functions,
             horizon=horizon,
-            path_constraint=None if path_constraint is None else function("path", [s, u, psi, c, d], path_constraint),
-            observation=None if observation is None else function("observation", [s], observation),
             action_bounds=action_bounds,
             state_bounds=state_bounds,
+            initial_bounds=initial_bounds,
             schedule=schedule,
         )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields, without what was derived from them."""
+        return {name: self.__dict__[name] for name in self.__dataclass_fields__}
 
     @cached_property
     def n_states(self) -> int:
@@ -138,7 +165,22 @@ class OCP:
     @cached_property
     def n_path(self) -> int:
         """n_h, path constraints per stage."""
-        return 0 if self.path_constraint is None else self.path_constraint.size1_out(0)
+        return _n_rows(self.path_constraint)
+
+    @cached_property
+    def n_path_equality(self) -> int:
+        """n_e, path equalities per stage."""
+        return _n_rows(self.path_equality)
+
+    @cached_property
+    def n_terminal(self) -> int:
+        """n_gT, rows of `terminal_inequality`."""
+        return _n_rows(self.terminal_inequality)
+
+    @cached_property
+    def n_terminal_equality(self) -> int:
+        """n_eT, terminal equalities."""
+        return _n_rows(self.terminal_equality)
 
     @cached_property
     def n_observations(self) -> int:
@@ -152,51 +194,117 @@ class OCP:
 
     @cached_property
     def has_state_constraints(self) -> bool:
-        """True if any state bound is finite or there are path constraints."""
-        return bool(np.isfinite(np.asarray(self.state_bounds, float)).any()) or self.n_path > 0
+        """True if there are constraints other than dynamics and action bounds."""
+        rows = self.n_path + self.n_path_equality + self.n_terminal + self.n_terminal_equality
+        return bool(np.isfinite(np.asarray(self.state_bounds, float)[:, 1:]).any()) or rows > 0
+
+    @cached_property
+    def free_start(self) -> Mask:
+        """(n_s,) True where s_0 is a decision."""
+        if self.initial_bounds is None:
+            return np.zeros(self.n_states, bool)
+        lower, upper = self.initial_bounds
+        return np.asarray(lower) < np.asarray(upper)
+
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper (T+1, n_s) of all states: `state_bounds`, with row 0 as it counts.
+
+        There, given entries are not bounded, and free ones obey `state_bounds` and `initial_bounds`.
+        """
+        lower, upper = (np.array(bound) for bound in self.state_bounds)
+        initial = self.initial_bounds or UNBOUNDED
+        lower[0] = np.where(self.free_start, np.maximum(lower[0], initial[0]), -np.inf)
+        upper[0] = np.where(self.free_start, np.minimum(upper[0], initial[1]), np.inf)
+        return lower, upper
+
+    @cached_property
+    def state_rows(self) -> Indices:
+        """The rows of h that do not depend on the action, and hold at s_T too."""
+        if self.path_constraint is None:
+            return np.zeros(0, np.intp)
+        moved = np.unique(self.path_constraint.jac_sparsity(0, 1).get_triplet()[0])
+        return np.setdiff1d(np.arange(self.n_path), moved)
+
+    @cached_property
+    def terminal_inequality(self) -> ca.Function | None:
+        """g_T(s, psi, c, d) <= 0: the rows `state_rows` of h, then h_T; None if there are none."""
+        if not len(self.state_rows):
+            return self.terminal_constraint
+        parts = [part for part in (self.path_constraint, self.terminal_constraint) if part is not None]
+        kind = ca.SX if all(part.is_a("SXFunction") for part in parts) else ca.MX
+        s, *numbers = (kind.sym(name, self.terminal_cost.size1_in(i)) for i, name in enumerate(("s", "psi", "c", "d")))
+        rows = parts[0](s, kind.zeros(self.n_actions), *numbers)[self.state_rows.tolist()]
+        own = [part(s, *numbers) for part in parts[1:]]
+        return ca.Function("terminal_inequality", [s, *numbers], [ca.vertcat(rows, *own)])
 
     def unconstrained(self) -> OCP:
-        """The same problem without bounds and path constraints, as in the paper."""
-        return replace(self, path_constraint=None, action_bounds=UNBOUNDED, state_bounds=UNBOUNDED)
+        """The same problem without bounds and constraints other than the dynamics, as in the paper."""
+        return replace(
+            self,
+            path_constraint=None,
+            path_equality=None,
+            terminal_constraint=None,
+            terminal_equality=None,
+            action_bounds=UNBOUNDED,
+            state_bounds=UNBOUNDED,
+        )
+
+    @cached_property
+    def dynamics_see_stage(self) -> bool:
+        """True if f depends on the context c or the stage's numbers d."""
+        return any(self.dynamics.jac_sparsity(0, i).nnz() for i in (3, 4))
+
+    @cached_property
+    def transition(self) -> ca.Function:
+        """f(s, u, p) with all its numbers in one vector: p is psi, or (psi, c, d) where f sees the context or d."""
+        f = self.dynamics
+        kind = ca.SX if f.is_a("SXFunction") else ca.MX
+        s, u, psi, *others = (kind.sym(name, f.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d")))
+        if not self.dynamics_see_stage:
+            unseen = [kind.zeros(other.shape) for other in others]
+            return ca.Function("transition", [s, u, psi], f.call([s, u, psi, *unseen], True, False))
+        ends = np.cumsum([0, psi.numel(), *(other.numel() for other in others)]).tolist()
+        p = kind.sym("p", ends[-1])
+        return ca.Function("transition", [s, u, p], f.call([s, u, *ca.vertsplit(p, ends)], True, False))
+
+    def transition_numbers(self, psi: ca.MX, context: ca.MX) -> ca.MX:
+        """p of `transition` at t = 0 .. T-1, (n_p, T)."""
+        wide = ca.repmat(psi, 1, self.horizon)
+        if not self.dynamics_see_stage:
+            return wide
+        return ca.vertcat(wide, ca.repmat(context, 1, self.horizon), self.stages[:, :-1])
 
     @cached_property
     def dynamics_derivatives(self) -> DynamicsDerivatives:
-        """The derivatives of the dynamics: those given, else by AD."""
-        return self.derivatives or DynamicsDerivatives.by_ad(self.dynamics)
+        """The derivatives of `transition`: those given, else by AD."""
+        return self.derivatives or DynamicsDerivatives.by_ad(self.transition)
+
+    @cached_property
+    def stages(self) -> ca.DM:
+        """The schedule (n_d, T+1), time along columns as everywhere inside CasADi."""
+        return ca.DM(np.asarray(self.schedule)).T
 
     @cached_property
     def rollout(self) -> ca.Function:
-        """(s0 (n_s,), U (n_u, T), psi) -> states (n_s, T+1); time runs along columns, as everywhere inside CasADi."""
-        s0, actions, psi = ca.MX.sym("s0", self.n_states), self._actions(), ca.MX.sym("psi", self.n_parameters)
-        states = self.dynamics.mapaccum(self.horizon)(s0, actions, ca.repmat(psi, 1, self.horizon))
-        return ca.Function("rollout", [s0, actions, psi], [ca.horzcat(s0, states)])
+        """(s0 (n_s,), U (n_u, T), psi, c) -> states (n_s, T+1)."""
+        s0, (_, actions, psi, context) = ca.MX.sym("s0", self.n_states), self.symbols()
+        numbers = self.transition_numbers(psi, context)
+        states = self.transition.mapaccum(self.horizon)(s0, actions, numbers)
+        return ca.Function("rollout", [s0, actions, psi, context], [ca.horzcat(s0, states)])
 
     @cached_property
     def cost(self) -> ca.Function:
         """(S (n_s, T+1), U (n_u, T), psi, c) -> the objective of this states-and-actions pair, dynamics or not."""
-        steps = self.horizon
-        states, actions = ca.MX.sym("S", self.n_states, steps + 1), self._actions()
-        psi, context = ca.MX.sym("psi", self.n_parameters), ca.MX.sym("c", self.n_context)
-        schedule = ca.DM(np.asarray(self.schedule)).T  # (n_d, T+1)
-        stages = self.stage_cost.map(steps)(
-            states[:, :steps], actions, ca.repmat(psi, 1, steps), ca.repmat(context, 1, steps), schedule[:, :steps]
-        )
-        total = ca.sum2(stages) + self.terminal_cost(states[:, steps], psi, context, schedule[:, steps])
-        return ca.Function("cost", [states, actions, psi, context], [total])
+        point = self.symbols()
+        total = ca.sum2(self.at_stages(self.stage_cost, *point)) + self.at_end(self.terminal_cost, *point)
+        return ca.Function("cost", point, [total])
 
     @cached_property
     def path(self) -> ca.Function:
         """(S (n_s, T+1), U (n_u, T), psi, c) -> path constraints (n_h, T)."""
-        steps = self.horizon
-        states, actions = ca.MX.sym("S", self.n_states, steps + 1), self._actions()
-        psi, context = ca.MX.sym("psi", self.n_parameters), ca.MX.sym("c", self.n_context)
-        values = ca.MX(0, steps)
-        if self.path_constraint is not None:
-            schedule = ca.DM(np.asarray(self.schedule)).T[:, :steps]
-            values = self.path_constraint.map(steps)(
-                states[:, :steps], actions, ca.repmat(psi, 1, steps), ca.repmat(context, 1, steps), schedule
-            )
-        return ca.Function("path", [states, actions, psi, context], [values])
+        point = self.symbols()
+        return ca.Function("path", point, [self.at_stages(self.path_constraint, *point)])
 
     @cached_property
     def observe(self) -> ca.Function:
@@ -205,78 +313,80 @@ class OCP:
         seen = states if self.observation is None else self.observation.map(self.horizon + 1)(states)
         return ca.Function("observe", [states], [seen])
 
-    def simulate(self, s0: ArrayLike, actions: ArrayLike, psi: ArrayLike = ()) -> Trajectory:
-        """Roll the dynamics out from s0 (n_s,) with actions (T, n_u)."""
+    def symbols(self) -> list[ca.MX]:
+        """S (n_s, T+1), U (n_u, T), psi and c."""
+        shapes = {"S": (self.n_states, self.horizon + 1), "U": (self.n_actions, self.horizon)}
+        shapes |= {"psi": (self.n_parameters, 1), "c": (self.n_context, 1)}
+        return [ca.MX.sym(name, *shape) for name, shape in shapes.items()]
+
+    def at_stages(self, function: ca.Function | None, states: ca.MX, actions: ca.MX, psi: ca.MX, c: ca.MX) -> ca.MX:
+        """A stage function (s, u, psi, c, d) -> (n,) at t = 0 .. T-1 of S, U: (n, T); (0, T) for None."""
+        if function is None:
+            return ca.MX(0, self.horizon)
+        wide = [ca.repmat(value, 1, self.horizon) for value in (psi, c)]
+        return function.map(self.horizon)(states[:, :-1], actions, *wide, self.stages[:, :-1])
+
+    def at_end(self, function: ca.Function | None, states: ca.MX, actions: ca.MX, psi: ca.MX, c: ca.MX) -> ca.MX:
+        """A terminal function (s, psi, c, d) -> (n,) at s_T of S; (0,) for None."""
+        return ca.MX(0, 1) if function is None else function(states[:, -1], psi, c, self.stages[:, -1])
+
+    def simulate(
+        self, s0: ArrayLike, actions: ArrayLike, psi: ArrayLike = (), context: ArrayLike | None = None
+    ) -> Trajectory:
+        """Roll the dynamics out from s0 (n_s,) with actions (T, n_u). The context may be left out if f ignores it."""
         actions = self.as_actions(actions)
-        states = self.rollout(_vector("s0", s0, self.n_states), actions.T, _vector("psi", psi, self.n_parameters))
+        if context is None and not self.dynamics_see_stage:
+            context = np.zeros(self.n_context)
+        numbers = self.inputs(s0, psi, () if context is None else context)
+        states = self.rollout(numbers[0], actions.T, *numbers[1:])
         return Trajectory(np.array(states).T, actions)
 
     def inputs(self, s0: ArrayLike, psi: ArrayLike, context: ArrayLike) -> tuple[Array, Array, Array]:
         """The three as float64 vectors. Raises ProblemError when a length is wrong."""
         return (
-            _vector("s0", s0, self.n_states),
-            _vector("psi", psi, self.n_parameters),
-            _vector("context", context, self.n_context),
+            vector("s0", s0, self.n_states),
+            vector("psi", psi, self.n_parameters),
+            vector("context", context, self.n_context),
         )
 
     def as_actions(self, actions: ArrayLike) -> Array:
         """Actions as a float64 array (T, n_u). Raises ProblemError for another shape."""
-        return _matrix("actions", "(T, n_u)", actions, (self.horizon, self.n_actions))
+        return matrix("actions", "(T, n_u)", actions, (self.horizon, self.n_actions))
 
     def as_states(self, states: ArrayLike) -> Array:
         """States as a float64 array (T+1, n_s). Raises ProblemError for another shape."""
-        return _matrix("states", "(T+1, n_s)", states, (self.horizon + 1, self.n_states))
-
-    def _actions(self) -> ca.MX:
-        return ca.MX.sym("U", self.n_actions, self.horizon)
+        return matrix("states", "(T+1, n_s)", states, (self.horizon + 1, self.n_states))
 
     def _check_signatures(self, n_schedule: int) -> None:
-        if self.dynamics.n_in() != 3:
-            raise ProblemError(f"dynamics must be f(s, u, psi), got {self.dynamics}.")
-        s, u, psi = (self.dynamics.size1_in(i) for i in range(3))
+        """Raise ProblemError when a function does not fit the others; dynamics of three inputs become ones of five."""
+        given = {"dynamics": self.dynamics, "stage_cost": self.stage_cost}
+        for name, function in given.items():
+            if not isinstance(function, ca.Function):
+                raise ProblemError(f"{name} must be a casadi.Function, got {function!r}.")
         n_context = self.stage_cost.size1_in(3) if self.stage_cost.n_in() == 5 else 0
-        expected = {
-            "dynamics": (self.dynamics, (s, u, psi), s),
-            "stage_cost": (self.stage_cost, (s, u, psi, n_context, n_schedule), 1),
-            "terminal_cost": (self.terminal_cost, (s, psi, n_context, n_schedule), 1),
-            "path_constraint": (self.path_constraint, (s, u, psi, n_context, n_schedule), None),
-            "observation": (self.observation, (s,), None),
-        }
-        for name, (function, sizes, size_out) in expected.items():
-            if function is None:
-                continue
-            found = tuple(function.size1_in(i) for i in range(function.n_in()))
-            columns = all(function.size2_in(i) == 1 for i in range(function.n_in()))
-            out = (function.n_out(), *function.size_out(0))
-            if found != sizes or not columns or out != (1, size_out if size_out is not None else out[1], 1):
-                raise ProblemError(
-                    f"{name} must take column vectors of lengths {sizes} and return one column"
-                    f"{'' if size_out is None else f' of length {size_out}'}; it is {function}."
-                )
+        if self.dynamics.n_in() == 3:
+            object.__setattr__(self, "dynamics", _with_stage(self.dynamics, n_context, n_schedule))
+        if self.dynamics.n_in() != 5:
+            raise ProblemError(f"dynamics must be f(s, u, psi, c, d) or f(s, u, psi), got {self.dynamics}.")
+        s, u, psi = (self.dynamics.size1_in(i) for i in range(3))
+        stage, end = (s, u, psi, n_context, n_schedule), (s, psi, n_context, n_schedule)
+        check_function("dynamics", self.dynamics, stage, s)
+        check_function("stage_cost", self.stage_cost, stage, 1)
+        check_function("terminal_cost", self.terminal_cost, end, 1)
+        optional = {"path_constraint": stage, "path_equality": stage, "observation": (s,)}
+        optional |= {"terminal_constraint": end, "terminal_equality": end}
+        for name, sizes in optional.items():
+            if getattr(self, name) is not None:
+                check_function(name, getattr(self, name), sizes, None)
 
 
-def _vector(name: str, value: ArrayLike, length: int) -> Array:
-    array = np.asarray(value, float).reshape(-1)
-    if len(array) != length:
-        raise ProblemError(f"{name} must have length {length}, got {len(array)}.")
-    return array
+def _n_rows(function: ca.Function | None) -> int:
+    return 0 if function is None else function.size1_out(0)
 
 
-def _matrix(name: str, axes: str, value: ArrayLike, shape: tuple[int, int]) -> Array:
-    array = np.asarray(value, float)
-    if array.shape != shape:
-        raise ProblemError(f"{name} must be {axes} = {shape}, got {array.shape}.")
-    return array
-
-
-def broadcast_bounds(name: str, bounds: Bounds, length: int) -> tuple[Array, Array]:
-    """Lower and upper (length,) of bounds that may be numbers. Raises ProblemError when they make no interval."""
-    try:
-        lower, upper = (np.array(np.broadcast_to(np.asarray(bound, float), (length,))) for bound in bounds)
-    except (TypeError, ValueError) as error:
-        raise ProblemError(f"{name} must be (lower, upper), each a number or ({length},).") from error
-    if not ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all():
-        raise ProblemError(
-            f"{name} must be numbers: no lower bound above its upper bound or at inf, no upper bound at -inf."
-        )
-    return lower, upper
+def _with_stage(dynamics: ca.Function, n_context: int, n_schedule: int) -> ca.Function:
+    """f(s, u, psi) as f(s, u, psi, c, d)."""
+    kind = ca.SX if dynamics.is_a("SXFunction") else ca.MX
+    inputs = [kind.sym(name, *dynamics.size_in(i)) for i, name in enumerate(("s", "u", "psi"))]
+    others = [kind.sym(name, length) for name, length in (("c", n_context), ("d", n_schedule))]
+    return ca.Function("dynamics", [*inputs, *others], dynamics.call(inputs, True, False))

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.conditions.nlp import audit
+from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.scope import refuse_features
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
 from kpirl_ocp.types import Array, Mask, Multipliers, Solution, Status, Trajectory
 
@@ -50,6 +51,7 @@ class Fatrop:
     ) -> Solution:
         """Solve; see `Solver.solve`."""
         start, psi, context = problem.inputs(s0, psi, context)
+        refuse_features(problem, "Fatrop")
         solver, equality = _build(problem, self)
         if guess is None:
             guess = problem.simulate(start, guess_actions(problem, None), psi)
@@ -79,7 +81,7 @@ class Fatrop:
         on_states, on_actions = _by_kind(problem, np.array(result["lam_x"]).ravel())
         forces = np.array(result["lam_g"]).ravel()
         rows = np.where(equality)[0].reshape(problem.horizon + 1, problem.n_states)  # of stage 0 twice: f, then s_0
-        multipliers = Multipliers(
+        multipliers = Multipliers.of_given_start(
             dynamics=-forces[np.delete(rows, 1, axis=0)],  # the constraint is s_next - f
             state=on_states[1:],
             action=on_actions,
@@ -104,9 +106,9 @@ class Fatrop:
 
 def _bounds(problem: OCP) -> list[tuple[Array, tuple[Array, Array]]]:
     """Lower, then upper: infinite for s_0, and the bounds of s_1 .. s_T and of the actions."""
-    pairs = zip(problem.state_bounds, problem.action_bounds, strict=True)
-    tiled = [(np.tile(s, (problem.horizon, 1)), np.tile(u, (problem.horizon, 1))) for s, u in pairs]
-    return [(np.full(problem.n_states, sign * np.inf), side) for sign, side in zip((-1, 1), tiled, strict=True)]
+    pairs = zip(problem.limits, problem.action_bounds, strict=True)
+    sides = [(states[1:], np.asarray(actions)) for states, actions in pairs]
+    return [(np.full(problem.n_states, sign * np.inf), side) for sign, side in zip((-1, 1), sides, strict=True)]
 
 
 def _in_stages(states: Array, actions: Array) -> Array:
@@ -130,7 +132,7 @@ def _build(problem: OCP, solver: Fatrop) -> tuple[ca.Function, Mask]:
     states, actions = ca.horzcat(stages[:n_s, :], x[steps * (n_s + n_u) :]), stages[n_s:, :]
     s0, psi = ca.MX.sym("s0", n_s), ca.MX.sym("psi", problem.n_parameters)
     context = ca.MX.sym("c", problem.n_context)
-    gaps = states[:, 1:] - problem.dynamics.map(steps)(states[:, :steps], actions, ca.repmat(psi, 1, steps))
+    gaps = states[:, 1:] - problem.transition.map(steps)(states[:, :steps], actions, ca.repmat(psi, 1, steps))
     path = problem.path(states, actions, psi, context)
     start = [states[:, 0] - s0]
     rows = [ca.vertcat(gaps[:, t], *(start if t == 0 else []), path[:, t]) for t in range(steps)]

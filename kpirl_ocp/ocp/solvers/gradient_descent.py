@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.compiler import compiled
-from kpirl_ocp.ocp.conditions.nlp import largest
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
+from kpirl_ocp.ocp.problem.scope import constant_bounds, refuse_features
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
-from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory, max_or_nan
+from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory, largest, max_or_nan
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,7 @@ class GradientDescent:
 
 def check_constraints(problem: OCP, project: bool) -> None:
     """Raise ProblemError if the problem has constraints that gradient descent would ignore."""
+    refuse_features(problem, "gradient descent")
     if problem.has_state_constraints:
         raise ProblemError(
             "gradient descent cannot honour state bounds or path constraints: use Ipopt, "
@@ -98,7 +99,7 @@ def project(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX:
     """
     if not solver.project:
         return u
-    lower, upper = (ca.repmat(np.clip(bound, -1e300, 1e300), 1, u.size2()) for bound in problem.action_bounds)
+    lower, upper = (ca.repmat(np.clip(bound, -1e300, 1e300), 1, u.size2()) for bound in constant_bounds(problem)[2:])
     below, above = u < lower, u > upper
     return below * lower + above * upper + (1 - below - above) * u
 
@@ -107,7 +108,7 @@ def inside(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX | float:
     """The derivative of P(U): one where an action is within its bounds, zero elsewhere."""
     if not solver.project:
         return 1.0
-    lower, upper = (ca.repmat(ca.DM(bound), 1, u.size2()) for bound in problem.action_bounds)
+    lower, upper = (ca.repmat(ca.DM(bound), 1, u.size2()) for bound in constant_bounds(problem)[2:])
     return 1 - (u < lower) - (u > upper)
 
 
@@ -171,7 +172,7 @@ def finish(problem: OCP, solver: GradientDescent, initial_cost: float, point: Ar
     pushing = _bound_multipliers(problem, trajectory.actions, slope)
     scale = max_or_nan(1.0, largest(slope), largest(costates))
     residuals = KKTResiduals(largest(slope + pushing), 0.0, 0.0, 0.0, scale)
-    multipliers = Multipliers(
+    multipliers = Multipliers.of_given_start(
         dynamics=costates,
         state=np.zeros((steps, n_s)),
         action=pushing,

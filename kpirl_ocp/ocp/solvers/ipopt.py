@@ -10,10 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.conditions.nlp import audit, bound_multipliers, pack, transcribe, unpack, unpack_multipliers
+from kpirl_ocp.ocp.conditions.audit import audit
+from kpirl_ocp.ocp.conditions.program import limits_from, starting_point, trajectory_of, transcribe
+from kpirl_ocp.ocp.problem.layout import (
+    bound_multipliers,
+    equality_multipliers,
+    inequality_multipliers,
+    n_equalities,
+    n_inequalities,
+    unpack_multipliers,
+)
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
-from kpirl_ocp.types import Array, Solution, Status, Trajectory
+from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.types import Array, Solution, Status
 
 _STATUS = {
     "Solve_Succeeded": Status.CONVERGED,
@@ -29,7 +38,7 @@ _STATUS = {
 
 @dataclass(frozen=True)
 class Ipopt:
-    """Interior-point solver with exact Hessian; bounds and path constraints; warm start from a `Solution`.
+    """Interior-point solver with exact Hessian for every problem; warm start from a `Solution`.
 
     tolerance: Ipopt's own, on the unscaled program.
     max_iterations: before it gives up.
@@ -54,33 +63,29 @@ class Ipopt:
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
         start, psi, context = problem.inputs(s0, psi, context)
-        nlp = transcribe(problem)
-        solver = _build(problem, self, warm=isinstance(guess, Solution))
+        solver, n_free = _build(problem, self, warm=isinstance(guess, Solution)), n_inequalities(problem)
+        lower, upper = limits_from(problem, start)
         arguments = {
-            "x0": self._start(problem, start, psi, guess),
-            "p": np.concatenate([start, psi, context]),
-            "lbx": nlp.lower,
-            "ubx": nlp.upper,
-            "lbg": np.concatenate([np.zeros(nlp.n_defects), np.full(problem.horizon * problem.n_path, -np.inf)]),
-            "ubg": np.zeros(nlp.n_defects + problem.horizon * problem.n_path),
+            "x0": starting_point(problem, start, psi, context, guess),
+            "p": np.concatenate([psi, context]),
+            "lbx": lower,
+            "ubx": upper,
+            "lbg": np.concatenate([np.zeros(n_equalities(problem)), np.full(n_free, -np.inf)]),
+            "ubg": 0.0,
         }
         if isinstance(guess, Solution):
-            arguments["lam_x0"] = bound_multipliers(guess.multipliers)
-            arguments["lam_g0"] = np.concatenate([guess.multipliers.dynamics.ravel(), guess.multipliers.path.ravel()])
+            known = guess.multipliers
+            arguments["lam_x0"] = bound_multipliers(known)
+            arguments["lam_g0"] = np.concatenate([equality_multipliers(known), inequality_multipliers(known)])
         result = solver(**arguments)
         return self._solution(problem, start, psi, context, result, solver.stats())
-
-    def _start(self, problem: OCP, s0: Array, psi: Array, guess: Guess) -> Array:
-        """w (n_w,): the guess as it stands, or a rollout with zero actions."""
-        if guess is None:
-            return pack(problem.simulate(s0, guess_actions(problem, None), psi))
-        return pack(Trajectory(problem.as_states(guess.states), problem.as_actions(guess.actions)))
 
     def _solution(
         self, problem: OCP, s0: Array, psi: Array, context: Array, result: dict[str, ca.DM], stats: dict[str, object]
     ) -> Solution:
-        trajectory = unpack(problem, s0, np.array(result["x"]).ravel())
-        multipliers = unpack_multipliers(problem, np.array(result["lam_x"]).ravel(), np.array(result["lam_g"]).ravel())
+        w, nu, lam = (np.array(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
+        trajectory = trajectory_of(problem, w, s0)
+        multipliers = unpack_multipliers(problem, nu, *np.split(lam, [n_equalities(problem)]))
         word = str(stats["return_status"])
         return Solution(
             trajectory=trajectory,
@@ -96,10 +101,10 @@ class Ipopt:
 
 @lru_cache(maxsize=64)
 def _build(problem: OCP, solver: Ipopt, warm: bool) -> ca.Function:
-    nlp = transcribe(problem)
-    point = [nlp.symbols[name] for name in ("w", "s0", "psi", "c")]
-    objective, defects, path = nlp.values(*point)
-    program = {"x": nlp.symbols["w"], "p": nlp.symbols["p"], "f": objective, "g": ca.vertcat(defects, path)}
+    program = transcribe(problem)
+    objective, g_E, g_I = program.values(*program.symbols)
+    w, *numbers = program.symbols
+    nlp = {"x": w, "p": ca.vertcat(*numbers), "f": objective, "g": ca.vertcat(g_E, g_I)}
     options = {
         "tol": solver.tolerance,
         "max_iter": solver.max_iterations,
@@ -125,4 +130,4 @@ def _build(problem: OCP, solver: Ipopt, warm: bool) -> ca.Function:
             "warm_start_bound_frac": 1e-8,
             "warm_start_slack_bound_frac": 1e-8,
         }
-    return ca.nlpsol("ipopt", "ipopt", program, {"ipopt": options, "print_time": False, "show_eval_warnings": False})
+    return ca.nlpsol("ipopt", "ipopt", nlp, {"ipopt": options, "print_time": False, "show_eval_warnings": False})

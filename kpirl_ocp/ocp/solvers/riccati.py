@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.conditions.nlp import largest
 from kpirl_ocp.ocp.interior_point.filter import Filter
 from kpirl_ocp.ocp.interior_point.iterate import Derivatives, Iterate, Newton, Step, shortened
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.scope import refuse_features
 from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives
-from kpirl_ocp.types import Array, KKTResiduals, Solution, Status, Trajectory
+from kpirl_ocp.types import Array, KKTResiduals, Solution, Status, Trajectory, largest
 
 _START = 0.3  # barrier parameter of a cold start, relative to the gradient of the objective there
 _WARM = 1e-3  # largest one of a warm start
@@ -67,6 +67,7 @@ class Riccati:
         from kpirl_ocp.ocp.export.resident import resident  # which exports this class
 
         numbers = problem.inputs(s0, psi, context)
+        refuse_features(problem, "Riccati")
         machine = resident(problem, self.max_iterations)
         found = machine.solve(self, *numbers, guess) if machine else None
         return found or self.solve_in_python(problem, *numbers, guess)

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.conditions.nlp import audit, bound_multipliers, pack, transcribe, unpack, unpack_multipliers
+from kpirl_ocp.ocp.conditions.audit import audit
+from kpirl_ocp.ocp.conditions.nlp import bound_multipliers, pack, transcribe, unpack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.scope import refuse_features
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
 from kpirl_ocp.types import Array, Solution, Status, Trajectory
 
@@ -39,6 +41,7 @@ class SQP:
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
         start, psi, context = problem.inputs(s0, psi, context)
+        refuse_features(problem, "SQP")
         nlp = transcribe(problem)
         if guess is None:
             w = pack(problem.simulate(start, guess_actions(problem, None), psi))

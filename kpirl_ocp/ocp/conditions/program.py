@@ -1,0 +1,91 @@
+"""The problem as one nonlinear program (multiple shooting).
+
+    min J(w)   subject to   g_E(w) = 0,  g_I(w) <= 0,  lower <= w <= upper
+
+with w and the order of the rows as in `layout`: g_E are the defects f(s, u) - s_next, path equalities and terminal
+equalities, g_I are path and terminal inequalities. Ipopt, SQP and the audit of a solution read it from here;
+`kpirl_ocp.ocp.conditions.stage_derivatives` has the conditions stage by stage.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from kpirl_ocp.ocp.problem.layout import given, limits, unpack
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.types import Array, Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """The program of a problem in CasADi functions of (w (n_w,), psi, c).
+
+    symbols: w, psi, c.
+    values: -> J, g_E (n_eq,), g_I (n_ineq,).
+    first: also of (lambda (n_eq,), mu (n_ineq,)) -> gradient of J, and of J + lambda.g_E + mu.g_I, by w.
+    """
+
+    symbols: list[ca.MX]
+    values: ca.Function
+    first: ca.Function
+
+
+@lru_cache(maxsize=64)
+def transcribe(problem: OCP) -> Program:
+    """Write the problem as a nonlinear program; cached per problem."""
+    shape = (problem.n_states, problem.horizon + 1), (problem.n_actions, problem.horizon)
+    w = ca.MX.sym("w", sum(rows * columns for rows, columns in shape))
+    parts = ca.vertsplit(w, [0, shape[0][0] * shape[0][1], w.numel()])
+    states, actions = (ca.reshape(part, *size) for part, size in zip(parts, shape, strict=True))
+    psi, context = problem.symbols()[2:]
+    point = states, actions, psi, context
+
+    defects = problem.at_stages(problem.dynamics, *point) - states[:, 1:]
+    equalities = [defects, problem.at_stages(problem.path_equality, *point)]
+    inequalities = [problem.path(*point), problem.at_end(problem.terminal_inequality, *point)]
+    equalities.append(problem.at_end(problem.terminal_equality, *point))
+    g_E, g_I = (ca.vertcat(*map(ca.vec, rows)) for rows in (equalities, inequalities))
+    objective = problem.cost(*point)
+
+    lam, mu = ca.MX.sym("lambda", g_E.numel()), ca.MX.sym("mu", g_I.numel())
+    lagrangian = objective + ca.dot(lam, g_E) + ca.dot(mu, g_I)
+    slopes = [ca.densify(ca.gradient(value, w)) for value in (objective, lagrangian)]
+    symbols = [w, psi, context]
+    return Program(
+        symbols=symbols,
+        values=ca.Function("values", symbols, [ca.densify(x) for x in (objective, g_E, g_I)]),
+        first=ca.Function("first", [*symbols, lam, mu], slopes),
+    )
+
+
+def limits_from(problem: OCP, s0: Array) -> tuple[Array, Array]:
+    """Lower and upper bounds (n_w,) of w, both s0 (n_s,) for the entries of s_0 that are given."""
+    start = np.concatenate([s0, np.zeros(problem.horizon * (problem.n_states + problem.n_actions))])
+    fixed = given(problem)
+    lower, upper = (np.where(fixed, start, bound) for bound in limits(problem))
+    return lower, upper
+
+
+def starting_point(problem: OCP, s0: Array, psi: Array, context: Array, guess: Guess) -> Array:
+    """w (n_w,) to start from: the guess as it stands but for given entries of s_0, or a rollout with zero actions."""
+    if guess is None:
+        actions = np.zeros((problem.horizon, problem.n_actions))
+        return _pack(problem, s0, problem.simulate(s0, actions, psi, context))
+    return _pack(problem, s0, Trajectory(problem.as_states(guess.states), problem.as_actions(guess.actions)))
+
+
+def _pack(problem: OCP, s0: Array, trajectory: Trajectory) -> Array:
+    first = np.where(problem.free_start, trajectory.states[0], s0)
+    return np.concatenate([first, trajectory.states[1:].ravel(), trajectory.actions.ravel()])
+
+
+def trajectory_of(problem: OCP, w: Array, s0: Array) -> Trajectory:
+    """The trajectory of w (n_w,), with the given entries of s_0 exactly so."""
+    trajectory = unpack(problem, w)
+    trajectory.states[0] = np.where(problem.free_start, trajectory.states[0], s0)
+    return trajectory

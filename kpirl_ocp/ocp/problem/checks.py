@@ -1,0 +1,98 @@
+"""Checks of what users hand to a problem; every refusal is one sentence that names the argument."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.types import Array
+
+Bounds = tuple[ArrayLike, ArrayLike]
+UNBOUNDED: Bounds = (-np.inf, np.inf)
+_LONGEST = 1_000_000  # steps of a horizon
+
+
+def horizon_of(value: object) -> int:
+    """T as an int. Raises ProblemError unless it is a whole number between 1 and a million."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or not 1 <= value <= _LONGEST:  # type: ignore[operator]
+        raise ProblemError(f"horizon must be a whole number of at least 1 step and at most {_LONGEST}, got {value!r}.")
+    return int(value)  # type: ignore[call-overload]
+
+
+def numbers(name: str, value: ArrayLike) -> Array:
+    """A float64 array. Raises ProblemError for anything that is not made of numbers."""
+    try:
+        return np.asarray(value, float)
+    except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError) as error:
+        raise ProblemError(f"{name} must be an array of numbers, got {_shown(value)}.") from error
+
+
+def vector(name: str, value: ArrayLike, *lengths: int) -> Array:
+    """A float64 vector of one of these lengths. Raises ProblemError for anything else."""
+    array = numbers(name, value)
+    if array.ndim > 1 and array.size != max(array.shape):
+        raise ProblemError(f"{name} must be a vector of length {_or(lengths)}, got the shape {array.shape}.")
+    if array.size not in lengths:
+        raise ProblemError(f"{name} must have length {_or(lengths)}, got {array.size}.")
+    return array.reshape(-1)
+
+
+def matrix(name: str, axes: str, value: ArrayLike, *shapes: tuple[int, int]) -> Array:
+    """A float64 matrix of one of these shapes. Raises ProblemError for anything else."""
+    array = numbers(name, value)
+    if array.shape not in shapes:
+        raise ProblemError(f"{name} must be {axes} = {_or(shapes)}, got {array.shape}.")
+    return array
+
+
+def schedule_of(value: ArrayLike | None, horizon: int) -> Array:
+    """The numbers d_t (T+1, n_d) of all stages; (T+1, 0) for none. Raises ProblemError for another shape, or NaN."""
+    schedule = np.zeros((horizon + 1, 0)) if value is None else numbers("schedule", value)
+    if schedule.ndim != 2 or len(schedule) != horizon + 1 or not np.isfinite(schedule).all():
+        raise ProblemError(f"schedule must be finite and (T+1, n_d) = ({horizon + 1}, n_d), got {schedule.shape}.")
+    return schedule
+
+
+def bounds_of(name: str, bounds: Bounds, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """Lower and upper, each broadcast to a shape. Raises ProblemError when they make no interval."""
+    expected = " or ".join(dict.fromkeys(str(shape[i:]) for i in reversed(range(len(shape)))))
+    try:
+        given = [np.asarray(bound, float) for bound in bounds]
+        lower, upper = (np.array(np.broadcast_to(bound, shape)) for bound in given)
+    except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError) as error:
+        raise ProblemError(f"{name} must be (lower, upper), each a number or {expected}.") from error
+    if not lower.size and any(np.isfinite(bound).any() for bound in given):
+        raise ProblemError(f"{name} must be left out: there is nothing to bound, the shape is {shape}.")
+    if not ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all():
+        raise ProblemError(
+            f"{name} must be numbers: no lower bound above its upper bound or at inf, no upper bound at -inf."
+        )
+    return lower, upper
+
+
+def check_function(name: str, function: object, sizes: tuple[int, ...], length: int | None) -> None:
+    """Raise ProblemError unless columns of these sizes go in and one column (of this length, if any) comes out."""
+    if not isinstance(function, ca.Function):
+        raise ProblemError(f"{name} must be a casadi.Function, got {_shown(function)}.")
+    found = tuple(function.size1_in(i) for i in range(function.n_in()))
+    columns = all(function.size2_in(i) == 1 for i in range(function.n_in()))
+    one = function.n_out() == 1 and function.size2_out(0) == 1
+    if found != sizes or not columns or not one or function.size1_out(0) != (length or function.size1_out(0)):
+        raise ProblemError(
+            f"{name} must take column vectors of lengths {sizes} and return one column"
+            f"{'' if length is None else f' of length {length}'}; it is {function}."
+        )
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _or(alternatives: Sequence[object]) -> str:
+    return " or ".join(str(one) for one in dict.fromkeys(alternatives))

@@ -1,0 +1,92 @@
+"""The order of unknowns and multipliers in one vector each; time first, as everywhere outside CasADi.
+
+    w      = (s_0 .. s_T, u_0 .. u_{T-1})
+    lambda = (dynamics, path_equality, terminal_equality)      of the equalities
+    mu     = (path, terminal)                                  of the inequalities, each row <= 0
+    nu     = (state, action)                                   of the bounds on w, in the order of w
+
+s_0 is part of w whether it is given or not: a given entry has both bounds at its value.
+"""
+
+from __future__ import annotations
+
+from itertools import accumulate
+
+import numpy as np
+
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.types import Array, Mask, Multipliers, Trajectory
+
+
+def pack(trajectory: Trajectory) -> Array:
+    """w (n_w,) of a trajectory."""
+    return np.concatenate([trajectory.states.ravel(), trajectory.actions.ravel()])
+
+
+def unpack(problem: OCP, w: Array) -> Trajectory:
+    """The trajectory of w (n_w,)."""
+    return Trajectory(*_split(w, (problem.horizon + 1, problem.n_states), (problem.horizon, problem.n_actions)))
+
+
+def limits(problem: OCP) -> tuple[Array, Array]:
+    """Lower and upper bounds (n_w,) of w; infinite for the entries of s_0 that are given."""
+    pairs = zip(problem.limits, problem.action_bounds, strict=True)
+    lower, upper = (np.concatenate([states.ravel(), np.asarray(actions).ravel()]) for states, actions in pairs)
+    return lower, upper
+
+
+def given(problem: OCP) -> Mask:
+    """(n_w,) True for the entries of s_0 that are given."""
+    mask = np.zeros((problem.horizon + 1) * problem.n_states + problem.horizon * problem.n_actions, bool)
+    mask[: problem.n_states] = ~problem.free_start
+    return mask
+
+
+def equality_multipliers(multipliers: Multipliers) -> Array:
+    """lambda (n_eq,)."""
+    parts = (multipliers.dynamics, multipliers.path_equality, multipliers.terminal_equality)
+    return np.concatenate([part.ravel() for part in parts])
+
+
+def inequality_multipliers(multipliers: Multipliers) -> Array:
+    """mu (n_ineq,)."""
+    return np.concatenate([multipliers.path.ravel(), multipliers.terminal.ravel()])
+
+
+def bound_multipliers(multipliers: Multipliers) -> Array:
+    """nu (n_w,)."""
+    return np.concatenate([multipliers.state.ravel(), multipliers.action.ravel()])
+
+
+def unpack_multipliers(problem: OCP, nu: Array, lam: Array, mu: Array) -> Multipliers:
+    """The multipliers of bounds, equalities and inequalities as named arrays; zero for given entries of s_0."""
+    steps = problem.horizon
+    bounds = unpack(problem, np.where(given(problem), 0.0, nu))
+    dynamics, path_equality, terminal_equality = _split(
+        lam, (steps, problem.n_states), (steps, problem.n_path_equality), (problem.n_terminal_equality,)
+    )
+    path, terminal = _split(mu, (steps, problem.n_path), (problem.n_terminal,))
+    return Multipliers(
+        dynamics=dynamics,
+        state=bounds.states,
+        action=bounds.actions,
+        path=path,
+        path_equality=path_equality,
+        terminal=terminal,
+        terminal_equality=terminal_equality,
+    )
+
+
+def n_equalities(problem: OCP) -> int:
+    """Length of lambda."""
+    return problem.horizon * (problem.n_states + problem.n_path_equality) + problem.n_terminal_equality
+
+
+def n_inequalities(problem: OCP) -> int:
+    """Length of mu."""
+    return problem.horizon * problem.n_path + problem.n_terminal
+
+
+def _split(vector: Array, *shapes: tuple[int, ...]) -> list[Array]:
+    ends = list(accumulate(int(np.prod(shape)) for shape in shapes))
+    return [vector[end - int(np.prod(shape)) : end].reshape(shape) for shape, end in zip(shapes, ends, strict=True)]
