@@ -14,8 +14,8 @@ from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.ocp.export import export_c
-from kpirl_ocp.ocp.problem.checks import UNBOUNDED
 from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED
 from kpirl_ocp.ocp.solvers.sqp import SQP
 from kpirl_ocp.reporting import run
 from kpirl_ocp.types import Array

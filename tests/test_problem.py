@@ -220,7 +220,7 @@ def test_functions_with_swapped_roles_are_refused():
     given = build()
     with pytest.raises(ProblemError, match="dynamics must take"):
         OCP(given.dynamics, given.terminal_cost, given.stage_cost, T, schedule=SCHEDULE)
-    with pytest.raises(ProblemError, match="dynamics must .* return one column of length 3"):
+    with pytest.raises(ProblemError, match=r"dynamics must .* return one column of length 3"):
         OCP(given.stage_cost, given.stage_cost, given.terminal_cost, T, schedule=SCHEDULE)
 
 

@@ -19,9 +19,9 @@ from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost
 from kpirl_ocp.ocp.models.keypoint_dynamics import LinearisedNetwork, NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_passes import NetworkPasses
 from kpirl_ocp.ocp.models.robot import Robot
-from kpirl_ocp.ocp.problem.checks import UNBOUNDED, Bounds, bounds_of
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED, Bounds, bounds_of
 from kpirl_ocp.types import Array
 
 

@@ -23,7 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.problem.checks import (
+from kpirl_ocp.ocp.problem.dimensions import Dimensions
+from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
+from kpirl_ocp.ocp.problem.statement.checks import (
     UNBOUNDED,
     Bounds,
     bounds_of,
@@ -33,13 +35,12 @@ from kpirl_ocp.ocp.problem.checks import (
     schedule_of,
     vector,
 )
-from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
-from kpirl_ocp.ocp.problem.statement import state_functions
-from kpirl_ocp.types import Array, Indices, Mask, Trajectory
+from kpirl_ocp.ocp.problem.statement.expressions import state_functions
+from kpirl_ocp.types import Array, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class OCP:
+class OCP(Dimensions):
     """An optimal-control problem in stage functions (`ca.Function`, SX or MX).
 
     dynamics: f(s, u, psi, c, d) -> s_next (n_s,); f(s, u, psi) is accepted, too, and given the other two.
@@ -142,102 +143,6 @@ class OCP:
         """The fields, without what was derived from them."""
         return {name: self.__dict__[name] for name in self.__dataclass_fields__}
 
-    @cached_property
-    def n_states(self) -> int:
-        """n_s."""
-        return self.dynamics.size1_in(0)
-
-    @cached_property
-    def n_actions(self) -> int:
-        """n_u."""
-        return self.dynamics.size1_in(1)
-
-    @cached_property
-    def n_parameters(self) -> int:
-        """Length of psi."""
-        return self.dynamics.size1_in(2)
-
-    @cached_property
-    def n_context(self) -> int:
-        """Length of c."""
-        return self.stage_cost.size1_in(3)
-
-    @cached_property
-    def n_path(self) -> int:
-        """n_h, path constraints per stage."""
-        return _n_rows(self.path_constraint)
-
-    @cached_property
-    def n_path_equality(self) -> int:
-        """n_e, path equalities per stage."""
-        return _n_rows(self.path_equality)
-
-    @cached_property
-    def n_terminal(self) -> int:
-        """n_gT, rows of `terminal_inequality`."""
-        return _n_rows(self.terminal_inequality)
-
-    @cached_property
-    def n_terminal_equality(self) -> int:
-        """n_eT, terminal equalities."""
-        return _n_rows(self.terminal_equality)
-
-    @cached_property
-    def n_observations(self) -> int:
-        """n_z, length of what a demonstration shows of one state."""
-        return self.n_states if self.observation is None else self.observation.size1_out(0)
-
-    @cached_property
-    def has_action_bounds(self) -> bool:
-        """True if any action bound is finite."""
-        return bool(np.isfinite(np.asarray(self.action_bounds, float)).any())
-
-    @cached_property
-    def has_state_constraints(self) -> bool:
-        """True if there are constraints other than dynamics and action bounds."""
-        rows = self.n_path + self.n_path_equality + self.n_terminal + self.n_terminal_equality
-        return bool(np.isfinite(np.asarray(self.state_bounds, float)[:, 1:]).any()) or rows > 0
-
-    @cached_property
-    def free_start(self) -> Mask:
-        """(n_s,) True where s_0 is a decision."""
-        if self.initial_bounds is None:
-            return np.zeros(self.n_states, bool)
-        lower, upper = self.initial_bounds
-        return np.asarray(lower) < np.asarray(upper)
-
-    @cached_property
-    def limits(self) -> tuple[Array, Array]:
-        """Lower and upper (T+1, n_s) of all states: `state_bounds`, with row 0 as it counts.
-
-        There, given entries are not bounded, and free ones obey `state_bounds` and `initial_bounds`.
-        """
-        lower, upper = (np.array(bound) for bound in self.state_bounds)
-        initial = self.initial_bounds or UNBOUNDED
-        lower[0] = np.where(self.free_start, np.maximum(lower[0], initial[0]), -np.inf)
-        upper[0] = np.where(self.free_start, np.minimum(upper[0], initial[1]), np.inf)
-        return lower, upper
-
-    @cached_property
-    def state_rows(self) -> Indices:
-        """The rows of h that do not depend on the action, and hold at s_T too."""
-        if self.path_constraint is None:
-            return np.zeros(0, np.intp)
-        moved = np.unique(self.path_constraint.jac_sparsity(0, 1).get_triplet()[0])
-        return np.setdiff1d(np.arange(self.n_path), moved)
-
-    @cached_property
-    def terminal_inequality(self) -> ca.Function | None:
-        """g_T(s, psi, c, d) <= 0: the rows `state_rows` of h, then h_T; None if there are none."""
-        if not len(self.state_rows):
-            return self.terminal_constraint
-        parts = [part for part in (self.path_constraint, self.terminal_constraint) if part is not None]
-        kind = ca.SX if all(part.is_a("SXFunction") for part in parts) else ca.MX
-        s, *numbers = (kind.sym(name, self.terminal_cost.size1_in(i)) for i, name in enumerate(("s", "psi", "c", "d")))
-        rows = parts[0](s, kind.zeros(self.n_actions), *numbers)[self.state_rows.tolist()]
-        own = [part(s, *numbers) for part in parts[1:]]
-        return ca.Function("terminal_inequality", [s, *numbers], [ca.vertcat(rows, *own)])
-
     def unconstrained(self) -> OCP:
         """The same problem without bounds and constraints other than the dynamics, as in the paper."""
         return replace(
@@ -249,24 +154,6 @@ class OCP:
             action_bounds=UNBOUNDED,
             state_bounds=UNBOUNDED,
         )
-
-    @cached_property
-    def dynamics_see_stage(self) -> bool:
-        """True if f depends on the context c or the stage's numbers d."""
-        return any(self.dynamics.jac_sparsity(0, i).nnz() for i in (3, 4))
-
-    @cached_property
-    def transition(self) -> ca.Function:
-        """f(s, u, p) with all its numbers in one vector: p is psi, or (psi, c, d) where f sees the context or d."""
-        f = self.dynamics
-        kind = ca.SX if f.is_a("SXFunction") else ca.MX
-        s, u, psi, *others = (kind.sym(name, f.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d")))
-        if not self.dynamics_see_stage:
-            unseen = [kind.zeros(other.shape) for other in others]
-            return ca.Function("transition", [s, u, psi], f.call([s, u, psi, *unseen], True, False))
-        ends = np.cumsum([0, psi.numel(), *(other.numel() for other in others)]).tolist()
-        p = kind.sym("p", ends[-1])
-        return ca.Function("transition", [s, u, p], f.call([s, u, *ca.vertsplit(p, ends)], True, False))
 
     def transition_numbers(self, psi: ca.MX, context: ca.MX) -> ca.MX:
         """p of `transition` at t = 0 .. T-1, (n_p, T)."""
@@ -378,10 +265,6 @@ class OCP:
         for name, sizes in optional.items():
             if getattr(self, name) is not None:
                 check_function(name, getattr(self, name), sizes, None)
-
-
-def _n_rows(function: ca.Function | None) -> int:
-    return 0 if function is None else function.size1_out(0)
 
 
 def _with_stage(dynamics: ca.Function, n_context: int, n_schedule: int) -> ca.Function:
