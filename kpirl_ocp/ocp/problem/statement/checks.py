@@ -59,11 +59,14 @@ def schedule_of(value: ArrayLike | None, horizon: int) -> Array:
 
 
 def bounds_of(name: str, bounds: Bounds, shape: tuple[int, ...]) -> tuple[Array, Array]:
-    """Lower and upper, each broadcast to a shape. Raises ProblemError when they make no interval."""
+    """Lower and upper, each broadcast to a shape; of rows that are all alike there may be any number.
+
+    Raises ProblemError when they make no interval.
+    """
     expected = " or ".join(dict.fromkeys(str(shape[i:]) for i in reversed(range(len(shape)))))
     try:
         given = [np.asarray(bound, float) for bound in bounds]
-        lower, upper = (np.array(np.broadcast_to(bound, shape)) for bound in given)
+        lower, upper = (np.array(np.broadcast_to(_one_row(bound), shape)) for bound in given)
     except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError) as error:
         raise ProblemError(f"{name} must be (lower, upper), each a number or {expected}.") from error
     if not lower.size and any(np.isfinite(bound).any() for bound in given):
@@ -87,6 +90,11 @@ def check_function(name: str, function: object, sizes: tuple[int, ...], length: 
             f"{name} must take column vectors of lengths {sizes} and return one column"
             f"{'' if length is None else f' of length {length}'}; it is {function}."
         )
+
+
+def _one_row(bound: Array) -> Array:
+    """The row of a bound that is the same at every stage, so that a problem can be given another horizon."""
+    return bound[0] if bound.ndim == 2 and len(bound) and (bound == bound[:1]).all() else bound
 
 
 def _shown(value: object) -> str:
