@@ -79,6 +79,7 @@ class Riccati:
         from kpirl_ocp.ocp.export.resident import resident
 
         numbers = problem.inputs(s0, psi, context)
+        refuse_features(problem, "Riccati")
         machine = resident(problem, self.max_iterations)
         found = machine.solve(self, *numbers, guess) if machine else None
         if machine is None or found is None:
