@@ -19,7 +19,7 @@ from kpirl_ocp.ocp.models.keypoint_costs import RBF, Default, KeypointCost, Time
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state, network_ocp
 from kpirl_ocp.ocp.models.mlp import MLP
-from kpirl_ocp.ocp.models.onnx_files import load_onnx
+from kpirl_ocp.ocp.models.onnx.load import load_onnx
 from kpirl_ocp.ocp.models.robot import Keypoint, Robot
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.fatrop import Fatrop

@@ -35,7 +35,7 @@ ROOM = '"""A room."""'
 ROOMS = ("ocp/problem", "ocp/linear", "ocp/models", "ocp/solvers", "irl/learning", "perception/detector")
 PACKAGE = {
     **{f"{name}.py": "" for name in ("__init__", "errors", "types", "episodes", "ocp/linear/kkt")},
-    **{f"{room}/__init__.py": ROOM for room in ("ocp", "irl", "perception", *ROOMS)},
+    **{f"{room}/__init__.py": ROOM for room in ("ocp", "irl", "bridges", "perception", *ROOMS)},
 }
 ALLOWED = {
     "__init__.py": "from kpirl_ocp.irl.learning.learn import learn\nfrom .ocp.linear import kkt",
@@ -46,6 +46,7 @@ ALLOWED = {
     "ocp/problem/ocp.py": "import importlib.util\nspec = importlib.util.find_spec('pybullet_data')",
     "ocp/solvers/ipopt.py": "from kpirl_ocp.ocp.linear.kkt import x\nfrom kpirl_ocp.ocp import problem",
     "irl/learning/learn.py": "from kpirl_ocp.ocp.linear import kkt\nfrom . import loss\nfrom kpirl_ocp import episodes",
+    "bridges/torch_layer.py": "import torch\nfrom kpirl_ocp.irl.learning.learn import learn\nfrom . import networks",
     "perception/detector/nets.py": "import torch, cv2\nfrom kpirl_ocp.episodes import E\nfrom . import camera",
 }
 KKT, LEARN, NETS = "ocp/linear/kkt.py", "irl/learning/learn.py", "perception/detector/nets.py"
@@ -66,6 +67,8 @@ FORBIDDEN = {  # file, its source, what is reported
     "irl imports pybullet": (LEARN, "try:\n    import pybullet\nexcept E: ...", "irl.learning.learn -> pybullet"),
     "irl imports pybullet_data": (LEARN, "__import__('pybullet_data')", "irl.learning.learn -> pybullet_data"),
     "irl imports perception": (LEARN, "import kpirl_ocp.perception.x", "irl.learning.learn -> perception.x"),
+    "irl imports bridges": (LEARN, "from kpirl_ocp.bridges import x", "irl.learning.learn -> bridges.x"),
+    "bridges import perception": ("bridges/x.py", "import kpirl_ocp.perception.y", "bridges.x -> perception.y"),
     "perception imports ocp": (NETS, "import kpirl_ocp.ocp", "perception.detector.nets -> ocp"),
     "the package imports torch": ("__init__.py", "import torch", "kpirl_ocp -> torch"),
     "irl imports scripts": (LEARN, "from scripts import study", "irl.learning.learn -> scripts.study"),

@@ -10,7 +10,7 @@ from safetensors.numpy import load_file, save_file
 
 from kpirl_ocp.errors import ModelError
 from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
-from kpirl_ocp.ocp.models.onnx_files import load_onnx
+from kpirl_ocp.ocp.models.onnx.load import load_onnx
 
 WIDTHS = (8 + 3 * 3, 20, 10, 8)
 

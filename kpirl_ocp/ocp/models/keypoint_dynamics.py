@@ -37,6 +37,11 @@ class NetworkDynamics:
     rate: float | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.mlp, MLP):
+            raise ProblemError(
+                "keypoint dynamics need an MLP, a chain of layers. State a problem with another network by "
+                "OCP.from_expressions(dynamics=network(state, action), ...)."
+            )
         expected = (self.n_z + 3 * self.n_joints, self.n_z)
         if (self.mlp.n_in, self.mlp.n_out) != expected:
             raise ProblemError(

@@ -1,0 +1,257 @@
+"""Networks as people have them: the numbers of torch, whichever way they come."""
+
+import copy
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from kpirl_ocp import MLP, OCP, Demonstration, Implicit, NetworkDynamics, Riccati, load_onnx
+from kpirl_ocp.errors import ModelError, ProblemError
+from kpirl_ocp.ocp.models.graph_network import GraphNetwork
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnx")
+from kpirl_ocp.bridges.torch_network import from_torch  # noqa: E402
+
+nn = torch.nn
+WIDTH = 12
+
+
+class Normalised(nn.Module):
+    """Normalisation of inputs and outputs inside the module."""
+
+    def __init__(self):
+        super().__init__()
+        self.register_buffer("mean", torch.randn(5))
+        self.register_buffer("deviation", torch.rand(5) + 0.5)
+        self.net = nn.Sequential(nn.Linear(5, WIDTH), nn.Tanh(), nn.Linear(WIDTH, 4))
+        self.shift, self.scale = nn.Parameter(torch.randn(4)), nn.Parameter(torch.rand(4) + 0.5)
+
+    def forward(self, x):
+        return self.net((x - self.mean) / self.deviation) * self.scale + self.shift
+
+
+class StateAndAction(nn.Module):
+    """x + net(cat([x, u])), or without the x."""
+
+    def __init__(self, residual):
+        super().__init__()
+        self.residual = residual
+        self.net = nn.Sequential(nn.Linear(5, WIDTH), nn.SiLU(), nn.Linear(WIDTH, 4))
+
+    def forward(self, x, u):
+        change = self.net(torch.cat([x, u], dim=-1))
+        return x + change if self.residual else change
+
+
+class Block(nn.Module):
+    """A pre-norm residual block."""
+
+    def __init__(self):
+        super().__init__()
+        self.f = nn.Sequential(nn.LayerNorm(WIDTH), nn.Linear(WIDTH, 2 * WIDTH), nn.GELU(), nn.Linear(2 * WIDTH, WIDTH))
+
+    def forward(self, x):
+        return x + self.f(x)
+
+
+class Parameters(nn.Module):
+    """Weights that are bare parameters."""
+
+    def __init__(self):
+        super().__init__()
+        self.w, self.b = nn.Parameter(torch.randn(5, WIDTH)), nn.Parameter(torch.randn(WIDTH))
+        self.v = nn.Parameter(torch.randn(WIDTH, 4))
+
+    def forward(self, x):
+        return torch.tanh(x @ self.w + self.b) @ self.v
+
+
+class Angles(nn.Module):
+    """Features that people compute on the way in."""
+
+    def __init__(self):
+        super().__init__()
+        self.net = nn.Linear(7, 4)
+
+    def forward(self, x):
+        q, v = x[:, :3], x[:, 3:]
+        return self.net(torch.cat([torch.sin(q), torch.cos(q), v.sum(-1, keepdim=True)], -1)) * v.mean(-1, keepdim=True)
+
+
+def around(*layers):
+    return nn.Sequential(nn.Linear(5, WIDTH), *layers, nn.Linear(WIDTH, 4))
+
+
+def batch_norm(*after):
+    layer = nn.BatchNorm1d(WIDTH)
+    layer.running_mean.normal_()
+    layer.running_var.uniform_(0.5, 2)
+    nn.init.normal_(layer.weight)
+    nn.init.normal_(layer.bias)
+    return around(*after, layer, nn.ReLU())
+
+
+CHAINS = {  # each becomes an MLP
+    "linear": lambda: nn.Linear(5, 4),
+    "ReLU": lambda: around(nn.ReLU()),
+    "two hidden layers": lambda: around(nn.Tanh(), nn.Linear(WIDTH, WIDTH), nn.Sigmoid()),
+    "LeakyReLU": lambda: around(nn.LeakyReLU()),
+    "ELU": lambda: around(nn.ELU()),
+    "SiLU": lambda: around(nn.SiLU()),
+    "Softplus": lambda: around(nn.Softplus()),
+    "Dropout": lambda: around(nn.ReLU(), nn.Dropout(0.5)),
+    "BatchNorm after a layer": batch_norm,
+    "BatchNorm after an activation": lambda: batch_norm(nn.Tanh()),
+    "normalisation": Normalised,
+    "parameters": Parameters,
+    "output activation": lambda: nn.Sequential(nn.Linear(5, 4), nn.Tanh()),
+}
+GRAPHS = {  # these go through CasADi's reader
+    "cat([x, u])": lambda: StateAndAction(residual=False),
+    "x + net(x, u)": lambda: StateAndAction(residual=True),
+    "residual blocks": lambda: around(Block(), Block(), nn.LayerNorm(WIDTH)),
+    "features": Angles,
+    "GELU": lambda: around(nn.GELU()),
+    "GELU by tanh": lambda: around(nn.GELU(approximate="tanh")),
+    "LeakyReLU of slope 0.2": lambda: around(nn.LeakyReLU(0.2)),
+    "ReLU6": lambda: around(nn.ReLU6()),
+    "Softplus with beta": lambda: around(nn.Softplus(beta=2.0)),
+    "ELU with alpha": lambda: around(nn.ELU(0.5)),
+    "Mish": lambda: around(nn.Mish()),
+    "PReLU": lambda: around(nn.PReLU()),
+    "Hardswish": lambda: around(nn.Hardswish()),
+    "LayerNorm": lambda: around(nn.LayerNorm(WIDTH), nn.Tanh()),
+    "LayerNorm without weights": lambda: around(nn.LayerNorm(WIDTH, elementwise_affine=False), nn.Tanh()),
+    "BatchNorm and GELU": lambda: around(nn.GELU(), nn.BatchNorm1d(WIDTH)),
+    "RMSNorm": lambda: around(nn.RMSNorm(WIDTH)),
+    "Softmax": lambda: around(nn.Softmax(dim=-1)),
+}
+WITHOUT_OLD_EXPORTER = {"RMSNorm"}  # torch's TorchScript exporter does not know it
+
+
+def build(name):
+    torch.manual_seed(0)
+    return (CHAINS | GRAPHS)[name]().eval()
+
+
+def inputs(module, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    sizes = (4, 1) if isinstance(module, StateAndAction) else (5,)
+    return tuple(torch.randn(1, size, generator=generator, dtype=torch.float64) for size in sizes)
+
+
+def export(module, path, dynamo):
+    options = {"dynamo": True, "verbose": False} if dynamo else {"dynamo": False}
+    torch.onnx.export(module, tuple(x.float() for x in inputs(module)), str(path), **options)
+    return path
+
+
+def check_equal(network, module, tolerance):
+    exact = copy.deepcopy(module).double()
+    for seed in range(3):
+        given = inputs(module, seed)
+        symbols = [ca.MX.sym("x", x.shape[1]) for x in given]
+        evaluate = ca.Function("f", symbols, [network(ca.vertcat(*symbols))])
+        found = np.array(evaluate(*(x.numpy().ravel() for x in given))).ravel()
+        np.testing.assert_allclose(found, exact(*given).detach().numpy().ravel(), rtol=0, atol=tolerance)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("dynamo", [False, True], ids=["TorchScript", "dynamo"])
+@pytest.mark.parametrize("name", [*CHAINS, *GRAPHS])
+def test_a_network_that_torch_exported_has_the_numbers_of_torch(tmp_path, name, dynamo):
+    if dynamo:
+        pytest.importorskip("onnxscript")
+    elif name in WITHOUT_OLD_EXPORTER:
+        pytest.skip("not known to this exporter")
+    module = build(name)
+    network = load_onnx(export(module, tmp_path / "network.onnx", dynamo))
+    assert isinstance(network, MLP if name in CHAINS else MLP | GraphNetwork)
+    check_equal(network, module, 1e-6)
+
+
+@pytest.mark.parametrize("name", ["normalisation", "x + net(x, u)", "residual blocks", "BatchNorm and GELU", "RMSNorm"])
+def test_a_torch_module_keeps_its_numbers_to_rounding(name):
+    pytest.importorskip("onnxscript")
+    module = build(name)
+    before = {key: value.clone() for key, value in module.state_dict().items()}
+    check_equal(
+        from_torch(module, *(x.shape[1] for x in inputs(module))), module, 1e-11
+    )  # ONNX keeps epsilon in float32
+    assert all(torch.equal(value, before[key]) for key, value in module.state_dict().items())
+
+
+def test_a_module_that_torch_cannot_run_is_refused_with_its_reason():
+    pytest.importorskip("onnxscript")
+    with pytest.raises(ModelError, match=r"torch cannot export Linear for inputs of the lengths \(3,\)"):
+        from_torch(nn.Linear(5, 4), 3)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_dynamic_batch_axis_is_one_point(tmp_path):
+    module, path = build("ReLU"), tmp_path / "network.onnx"
+    torch.onnx.export(
+        module, torch.zeros(3, 5), str(path), dynamo=False, input_names=["x"], dynamic_axes={"x": {0: "batch"}}
+    )
+    check_equal(load_onnx(path), module, 1e-6)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_an_operator_that_nobody_knows_is_named(tmp_path):
+    class Odd(nn.Module):
+        def forward(self, x):
+            return torch.round(x)
+
+    torch.onnx.export(Odd(), torch.zeros(1, 5), str(tmp_path / "odd.onnx"), dynamo=False)
+    with pytest.raises(ModelError, match=r"odd\.onnx: .*CasADi cannot read it: Unsupported operation 'Round'"):
+        load_onnx(tmp_path / "odd.onnx")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_columns_are_points():
+    pytest.importorskip("onnxscript")
+    network = from_torch(build("x + net(x, u)"), 4, 1)
+    x, u = ca.MX.sym("x", 4, 3), ca.MX.sym("u", 1, 3)
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    together = np.array(ca.Function("f", [x, u], [network(x, u)])(points[:4], points[4:]))
+    alone = [np.array(network.function(point[:4], point[4:])).ravel() for point in points.T]
+    np.testing.assert_allclose(together.T, alone, rtol=0, atol=1e-15)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_plans_through_a_residual_network_have_certified_gradients(tmp_path):
+    module = build("x + net(x, u)")
+    network = load_onnx(export(module, tmp_path / "dynamics.onnx", dynamo=False))
+    s, u, psi = ca.MX.sym("s", 4), ca.MX.sym("u", 1), ca.MX.sym("psi", 2)
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        parameters=psi,
+        horizon=8,
+        dynamics=network(s, u),
+        stage_cost=psi[0] * ca.sumsqr(s - 1) + psi[1] * u**2,
+        action_bounds=(-1, 1),
+    )
+    demonstrated = Riccati().solve(problem, np.zeros(4), [1, 0.5]).raise_if_failed()
+    exact = copy.deepcopy(module).double()
+    state = torch.zeros(1, 4, dtype=torch.float64)
+    for action, following in zip(demonstrated.actions, demonstrated.states[1:], strict=True):
+        state = exact(state, torch.tensor(action)[None])
+        np.testing.assert_allclose(state.detach().numpy()[0], following, rtol=0, atol=1e-6)
+    loss, gradient, certificate = Implicit()(problem, Demonstration(np.zeros(4), [], demonstrated.states), [1.0, 0.1])
+    assert certificate.certified
+    assert loss > 1e-4
+    h = 1e-5
+    losses = [
+        Implicit()(problem, Demonstration(np.zeros(4), [], demonstrated.states), [1.0, 0.1 + d])[0] for d in (h, -h)
+    ]
+    np.testing.assert_allclose(gradient[1], (losses[0] - losses[1]) / (2 * h), rtol=1e-6)
+
+
+def test_keypoint_dynamics_of_another_graph_are_refused_with_the_way_out():
+    x = ca.MX.sym("x", 11)
+    network = GraphNetwork(ca.Function("f", [x], [x[:2] ** 2]))
+    with pytest.raises(ProblemError, match=r"need an MLP.*OCP\.from_expressions"):
+        NetworkDynamics(network, n_z=2, n_joints=3)
