@@ -110,6 +110,7 @@ def test_a_weight_that_moves_nothing_is_not_determined_and_keeps_its_spread():
     assert not found.determined[2]
     np.testing.assert_allclose(found.posterior[2], [0, 0, 9.0], atol=1e-9)
     np.testing.assert_array_equal(found.intervals()[2], [-np.inf, np.inf])
+    np.testing.assert_allclose(found.credible_intervals()[2], 7.0 + 1.6449 * 3.0 * np.array([-1, 1]), rtol=1e-4)
 
 
 def test_the_posterior_is_the_inverse_of_information_and_prior():
@@ -117,6 +118,9 @@ def test_the_posterior_is_the_inverse_of_information_and_prior():
     found = identify(case.problem, [case.demonstration], case.psi, spread, noise=0.02)
     expected = np.linalg.inv(found.information / 0.02**2 + np.diag(1 / spread**2))
     np.testing.assert_allclose(found.posterior, expected, rtol=1e-7, atol=1e-12)
+    row = np.arange(10.0)
+    width = np.ptp(found.credible_intervals(0.9, row))
+    np.testing.assert_allclose(width, 2 * 1.6448536 * np.sqrt(row @ expected @ row), rtol=1e-6)
 
 
 def test_units_of_psi_do_not_change_how_many_directions_are_known():
@@ -220,6 +224,8 @@ def test_what_cannot_be_identified_is_said():
         identify(problem, [planned()], [Q, R])
     with pytest.raises(ProblemError, match=r"Implicit\(\.\.\.\) or Unrolled"):
         identify(problem, [planned()], [Q, R], method=FiniteDifference())
+    with pytest.raises(ProblemError, match="combinations must be"):
+        identify(problem, [planned()], [Q, R], noise=1.0).intervals(0.9, [1.0, 2.0, 3.0])
     with pytest.raises(ProblemError, match="level"):
         identify(problem, [planned()], [Q, R], noise=1.0).intervals(1.5)
     with pytest.raises(CertificateError):

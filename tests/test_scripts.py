@@ -22,6 +22,9 @@ TINY = {
     "simulation_study.py": ["--seeds", "0", "--tasks", "placing", "--iterations", "3", "--tests", "1", "--jobs", "1"],
     "benchmark.py": ["--preset", "tiny"],
     "visual_demo.py": ["--iterations", "3"],
+    "identifiability.py": [
+        *("--simulated", "5", "--design-repetitions", "1", "--demonstrations", "2", "--places", "5"),
+    ],
 }
 
 

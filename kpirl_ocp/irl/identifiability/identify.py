@@ -94,16 +94,32 @@ class Identification:
 
         combinations: (m, n_psi), one per row; by default psi itself. Infinite where the data do not determine them.
         """
-        rows = np.eye(len(self.psi)) if combinations is None else np.atleast_2d(np.asarray(combinations, float))
-        if rows.shape[1] != len(self.psi) or not 0 < level < 1:
-            raise ProblemError(
-                f"combinations must be (m, {len(self.psi)}) and 0 < level < 1; got {rows.shape}, {level}."
-            )
+        rows = self._rows(combinations)
         parts = rows @ (self.directions * self.spread[:, None])  # (m, directions)
-        sizes = np.linalg.norm(parts, axis=1)
-        outside = np.linalg.norm(parts[:, ~self._resolved], axis=1) > _OUTSIDE * sizes
-        spread = np.linalg.norm(parts[:, self._resolved] * self.deviations[self._resolved], axis=1)
-        reach = stats.t.ppf(0.5 + level / 2, self.freedom) * np.where(outside, np.inf, spread)
+        known, lost = parts[:, self._resolved], parts[:, ~self._resolved]
+        outside = np.linalg.norm(lost, axis=1) > _OUTSIDE * np.linalg.norm(parts, axis=1)
+        deviations = np.linalg.norm(known * self.deviations[self._resolved], axis=1)
+        return self._around(rows, np.where(outside, np.inf, deviations), level)
+
+    def credible_intervals(self, level: float = 0.9, combinations: ArrayLike | None = None) -> Array:
+        """The same from the data and the spread together: never wider than what was believed before learning.
+
+        They are about the psi that minimises the loss over sigma^2 plus |(psi - start) / spread|^2, which is where
+        learning from a start ends, roughly: directions that the data do not determine stay at the start.
+        """
+        rows = self._rows(combinations)
+        return self._around(rows, np.sqrt(np.einsum("ij,jk,ik->i", rows, self.posterior, rows)), level)
+
+    def _rows(self, combinations: ArrayLike | None) -> Array:
+        rows = np.eye(len(self.psi)) if combinations is None else np.atleast_2d(np.asarray(combinations, float))
+        if rows.shape[1:] != self.psi.shape:
+            raise ProblemError(f"combinations must be (m, n_psi) = (m, {len(self.psi)}), got {rows.shape}.")
+        return rows
+
+    def _around(self, rows: Array, deviations: Array, level: float) -> Array:
+        if not 0 < level < 1:
+            raise ProblemError(f"level must be between 0 and 1, got {level!r}.")
+        reach = stats.t.ppf(0.5 + level / 2, self.freedom) * deviations
         return (rows @ self.psi)[:, None] + reach[:, None] * [-1.0, 1.0]
 
     @property
