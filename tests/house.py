@@ -37,6 +37,7 @@ ORDER = {
     "irl": [
         ("hypergradients", "cases"),
         ("learning", "identifiability"),
+        ("baselines",),
         ("visual",),
     ],
     "perception": [
