@@ -37,10 +37,10 @@ class DemonstratedConditions:
     def at(cls, problem: OCP, demonstration: Demonstration, actions: Array) -> DemonstratedConditions:
         """Of actions (T, n_u), from the demonstration's start.
 
-        Raises ProblemError for bounds and path constraints, and if the cost is not linear in psi.
+        Raises ProblemError for bounds and constraints, and if the cost is not linear in psi.
         """
         if problem.has_action_bounds or problem.has_state_constraints:
-            raise ProblemError("this method knows no inequalities: pass problem.unconstrained().")
+            raise ProblemError("this method knows no constraints but the dynamics: pass problem.unconstrained().")
         functions = _derivatives(problem)
         u = problem.as_actions(actions).ravel()
         points = np.vstack([np.zeros(problem.n_parameters), np.eye(problem.n_parameters)])
@@ -76,7 +76,7 @@ def _derivatives(problem: OCP) -> ca.Function:
     s0, psi = ca.MX.sym("s0", problem.n_states), ca.MX.sym("psi", problem.n_parameters)
     context = ca.MX.sym("c", problem.n_context)
     actions = ca.reshape(u, problem.n_actions, problem.horizon)
-    cost = problem.cost(problem.rollout(s0, actions, psi), actions, psi, context)
+    cost = problem.cost(problem.rollout(s0, actions, psi, context), actions, psi, context)
     hessian, gradient = ca.hessian(cost, u)
     outputs = [ca.densify(gradient), ca.densify(hessian)]
     return ca.Function("derivatives", [u, s0, psi, context], outputs)

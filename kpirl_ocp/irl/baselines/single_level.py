@@ -1,9 +1,10 @@
 """Single-level inverse optimal control (Becanovic, Jovanovic and Bonnet, 2024): one program instead of two nested ones.
 
     min over w, lambda, psi  sum over demonstrations |z(w) - z_demo|^2
-    subject to               dLagrangian/dw (w, lambda; psi) = 0,   f(s, u) - s_next = 0,   psi >= 0, sum psi = 1
+    subject to               dLagrangian/dw (w, lambda; psi) = 0,   g_E(w) = 0,   psi >= 0, sum psi = 1
 
-The plan is a variable, optimality a constraint: nothing is ever planned, and a plan is optimal at the end only.
+g_E are the dynamics and all other equalities. The plan is a variable and its optimality a constraint: nothing is ever
+planned, and the plan is optimal at the end only.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import seen
-from kpirl_ocp.ocp.conditions.nlp import pack, transcribe
+from kpirl_ocp.ocp.conditions.program import transcribe
+from kpirl_ocp.ocp.problem.layout import equality_multipliers, given, limits, n_inequalities, pack
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.ocp.problem.solver import Guess, Solver
 from kpirl_ocp.types import Array, Demonstration
 
 _IPOPT = {"print_level": 0, "sb": "yes", "mu_init": 1e-3}  # a small barrier: the start is feasible
@@ -41,34 +43,36 @@ def single_level(
     demonstrations: Sequence[Demonstration],
     psi0: ArrayLike,
     solver: Solver,
+    guess: Guess = None,
     max_iterations: int = 300,
 ) -> SingleLevelResult:
     """Learn psi >= 0 with the sum of psi0 (n_psi,), by Ipopt, from the plans for psi0.
 
-    problem: without inequalities. solver: plans for psi0, where the program starts.
+    problem: without inequalities; equalities are welcome. solver: plans for psi0 from the guess, where the
+    program starts.
 
-    Raises ProblemError for bounds and path constraints: complementarity is no equation that Ipopt could solve.
+    Raises ProblemError for bounds and inequalities: complementarity is no equation that Ipopt could solve.
     """
-    if problem.has_action_bounds or problem.has_state_constraints:
+    if n_inequalities(problem) or np.isfinite(limits(problem)).any():
         raise ProblemError("single-level IOC knows no inequalities: pass problem.unconstrained().")
     if not demonstrations:
         raise ProblemError("learning needs at least one demonstration.")
-    nlp, start = transcribe(problem), np.asarray(psi0, float)
+    program, start, free = transcribe(problem), np.asarray(psi0, float), np.flatnonzero(~given(problem))
     psi = ca.MX.sym("psi", problem.n_parameters)
     variables, guesses, constraints, loss = [psi], [start], [ca.sum1(psi) - start.sum()], ca.MX(0)
-    for number, demo in enumerate(demonstrations):
-        w = ca.MX.sym(f"w{number}", len(nlp.lower))
-        costates = ca.MX.sym(f"lambda{number}", nlp.n_defects)
-        point = (w, demo.s0, psi, demo.context)
-        constraints += [nlp.first(*point, costates, [])[1], nlp.values(*point)[1]]
-        states = ca.horzcat(demo.s0, ca.reshape(w[: nlp.n_defects], problem.n_states, problem.horizon))
+    for demo in demonstrations:
+        plan = solver.solve(problem, demo.s0, start, demo.context, guess)
+        guesses += [pack(plan.trajectory)[free], equality_multipliers(plan.multipliers)]
+        unknowns, lam = (ca.MX.sym(name, len(guess)) for name, guess in zip("wl", guesses[-2:], strict=True))
+        variables += [unknowns, lam]
+        w = ca.MX(pack(plan.trajectory))
+        w[free] = unknowns
+        constraints += [program.first(w, psi, demo.context, lam, [])[1][free], program.values(w, psi, demo.context)[1]]
+        states = ca.reshape(w[: problem.n_states * (problem.horizon + 1)], problem.n_states, problem.horizon + 1)
         loss += ca.sumsqr(problem.observe(states) - seen(problem, demo))
-        plan = solver.solve(problem, demo.s0, start, demo.context)
-        variables += [w, costates]
-        guesses += [pack(plan.trajectory), plan.multipliers.dynamics.ravel()]
-    program = {"x": ca.vertcat(*variables), "f": loss / len(demonstrations), "g": ca.vertcat(*constraints)}
-    ipopt = ca.nlpsol("single_level", "ipopt", program, {"ipopt": _IPOPT | {"max_iter": max_iterations}, **_QUIET})
-    lower = np.full(program["x"].numel(), -np.inf)
+    nlp = {"x": ca.vertcat(*variables), "f": loss / len(demonstrations), "g": ca.vertcat(*constraints)}
+    ipopt = ca.nlpsol("single_level", "ipopt", nlp, {"ipopt": _IPOPT | {"max_iter": max_iterations}, **_QUIET})
+    lower = np.full(nlp["x"].numel(), -np.inf)
     lower[: len(start)] = 0.0
     result = ipopt(x0=np.concatenate(guesses), lbx=lower, ubx=np.inf, lbg=0, ubg=0)
     stats = ipopt.stats()
