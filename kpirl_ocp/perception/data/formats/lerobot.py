@@ -1,0 +1,157 @@
+"""LeRobot data sets on disk, versions 2.0 to 3.0, without the package lerobot: Parquet tables and videos.
+
+meta/info.json                                 rate, features, paths
+data/chunk-000/...parquet                      one row per step
+videos/...mp4                                  one video per camera; version 3 puts several episodes into one file
+meta/episodes/, meta/tasks.parquet             lengths, files and tasks (version 2: meta/*.jsonl)
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.perception.data.formats.take import Take, VideoPart
+from kpirl_ocp.perception.data.video import Frames
+
+BOOKKEEPING = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+
+
+def read_lerobot(directory: str | Path, episodes: Sequence[int] | None = None) -> list[Take]:
+    """The episodes of a data set; those of the given numbers, or all.
+
+    Videos are decoded when `Take.frames` asks for them.
+
+    Raises:
+        EpisodeError: `pyarrow` is not installed, or a file, key or episode is missing or of another kind.
+    """
+    data_set = _DataSet(Path(directory))
+    numbers = range(len(data_set.episodes)) if episodes is None else episodes
+    return [data_set.take(number) for number in numbers]
+
+
+def parquet() -> Any:
+    """The module pyarrow.parquet. Raises EpisodeError if it is not installed."""
+    try:
+        return import_module("pyarrow.parquet")
+    except ImportError as error:
+        raise EpisodeError('LeRobot data sets need the package pyarrow: pip install "kpirl-ocp[data]".') from error
+
+
+@dataclass(frozen=True)
+class _DataSet:
+    root: Path
+
+    @cached_property
+    def info(self) -> dict[str, Any]:
+        path = self.root / "meta" / "info.json"
+        try:
+            info = json.loads(path.read_text())
+        except (OSError, ValueError) as error:
+            raise EpisodeError(f"{path} cannot be read; is {self.root} a LeRobot data set? ({error})") from error
+        missing = [key for key in ("codebase_version", "fps", "features", "data_path") if key not in info]
+        if missing:
+            raise EpisodeError(f"{path} has no {', '.join(missing)}.")
+        if not str(info["codebase_version"]).startswith(("v2.", "v3.")):
+            raise EpisodeError(f"{path}: version {info['codebase_version']} is not known, only v2.0 to v3.0.")
+        return dict(info)
+
+    @cached_property
+    def rate(self) -> float:
+        return float(self.info["fps"])
+
+    @cached_property
+    def latest(self) -> bool:
+        """Version 3: several episodes in one file."""
+        return str(self.info["codebase_version"]).startswith("v3.")
+
+    @cached_property
+    def episodes(self) -> list[dict[str, Any]]:
+        """What is known of each episode, in order."""
+        if not self.latest:
+            found = list(_lines(self.root / "meta" / "episodes.jsonl"))
+        else:
+            paths = sorted((self.root / "meta" / "episodes").glob("*/*.parquet"))
+            found = [row for path in paths for row in self._table(path).to_pylist()]
+        return sorted(found, key=lambda row: row["episode_index"])
+
+    def take(self, number: int) -> Take:
+        if not 0 <= number < len(self.episodes):
+            raise EpisodeError(f"{self.root} has {len(self.episodes)} episodes; there is no number {number}.")
+        known = self.episodes[number]
+        table = self._rows(known)
+        features = self.info["features"]
+        arrays: dict[str, NDArray[Any]] = {}
+        videos: dict[str, Frames | VideoPart] = {}
+        for name, feature in features.items():
+            if feature["dtype"] == "video":
+                videos[name] = self._video(known, name, table.num_rows)
+            elif feature["dtype"] == "image":
+                videos[name] = _pictures(table.column(name).to_pylist(), f"{self.root}, {name}")
+            elif feature["dtype"] != "string" and name not in BOOKKEEPING:
+                arrays[name] = np.array(table.column(name).to_pylist(), feature["dtype"])
+        times = np.array(table.column("timestamp").to_pylist(), float)
+        return Take(arrays, times - times[0], videos, "; ".join(known.get("tasks") or ()))
+
+    def _rows(self, known: dict[str, Any]) -> Any:
+        """The rows of one episode."""
+        number = known["episode_index"]
+        path = self.root / self.info["data_path"].format(**self._place(known, "data"))
+        table = self._table(path)
+        wanted = [name for name, f in self.info["features"].items() if f["dtype"] != "video"]
+        missing = sorted({*wanted, "timestamp"} - set(table.column_names))
+        if missing:
+            raise EpisodeError(f"{path} has no column {', '.join(missing)}.")
+        if self.latest:
+            index = np.array(table.column("episode_index").to_pylist())
+            table = table.take(np.flatnonzero(index == number))
+        if table.num_rows != known["length"]:
+            raise EpisodeError(f"{path} has {table.num_rows} steps of episode {number}, not {known['length']}.")
+        return table
+
+    def _video(self, known: dict[str, Any], name: str, count: int) -> VideoPart:
+        place = self._place(known, f"videos/{name}")
+        path = self.root / self.info["video_path"].format(video_key=name, **place)
+        return VideoPart(path, float(known.get(f"videos/{name}/from_timestamp", 0.0)), count, self.rate)
+
+    def _place(self, known: dict[str, Any], kind: str) -> dict[str, int]:
+        """The numbers in a path."""
+        if self.latest:
+            return {key: known[f"{kind}/{key}"] for key in ("chunk_index", "file_index")}
+        number = known["episode_index"]
+        return {"episode_chunk": number // int(self.info.get("chunks_size", 1000)), "episode_index": number}
+
+    def _table(self, path: Path) -> Any:
+        try:
+            return parquet().read_table(path)
+        except (OSError, ValueError) as error:  # pyarrow's own errors are ValueErrors
+            raise EpisodeError(f"{path} cannot be read as Parquet: {error}") from error
+
+
+def _lines(path: Path) -> Iterator[dict[str, Any]]:
+    try:
+        yield from (json.loads(line) for line in path.read_text().splitlines() if line.strip())
+    except (OSError, ValueError) as error:
+        raise EpisodeError(f"{path} cannot be read as JSON lines: {error}") from error
+
+
+def _pictures(cells: Iterable[dict[str, Any]], place: str) -> Frames:
+    """Frames (n, H, W, 3) RGB of PNG or JPEG files in a table."""
+    images = []
+    for cell in cells:
+        content = (cell or {}).get("bytes")
+        image = None if content is None else cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        if image is None:
+            raise EpisodeError(f"{place}: holds a picture that cannot be read.")
+        images.append(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+    return np.array(images, np.uint8)

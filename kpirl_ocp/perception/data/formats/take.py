@@ -1,0 +1,126 @@
+"""One recorded episode as plain arrays, whatever file it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from kpirl_ocp.episodes import Episode
+from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.perception.data.decoding import decode
+from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.types import Array, Demonstration
+
+
+@dataclass(frozen=True)
+class VideoPart:
+    """`count` frames of a video from the time `start` [s] on, recorded at `rate` [Hz]; decoded when asked for."""
+
+    path: Path
+    start: float
+    count: int
+    rate: float
+
+    def read(self) -> Frames:
+        """Frames (count, H, W, 3) RGB. Raises EpisodeError if the file is no video or holds fewer."""
+        images: list[Frames] = []
+        end = self.start + (self.count - 1) / self.rate
+        for time, image in decode(self.path, end + 0.5 / self.rate):
+            if time >= self.start - 0.5 / self.rate and len(images) < self.count:
+                images.append(image)
+        if len(images) != self.count:
+            raise EpisodeError(
+                f"{self.path} holds {len(images)} frames from {self.start:.3f} s on, for {self.count} steps."
+            )
+        return np.array(images)
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """One episode of n steps.
+
+    arrays: by name, each (n, ...) numbers, e.g. "observation.state" (n, n_joints) and "action" (n, n_u).
+    times: (n,) since its start [s].
+    videos: by name, frames (n, H, W, 3) uint8 RGB, or where to read them.
+    task: what was done, in words.
+
+    Raises EpisodeError for lengths that differ, and for NaN or infinity.
+    """
+
+    arrays: Mapping[str, NDArray[Any]]
+    times: Array
+    videos: Mapping[str, Frames | VideoPart] = field(default_factory=dict)
+    task: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "times", np.asarray(self.times, float))
+        object.__setattr__(self, "arrays", {name: np.asarray(array) for name, array in self.arrays.items()})
+        for name, array in [("times", self.times), *self.arrays.items()]:
+            if array.dtype.kind not in "bifu":
+                raise EpisodeError(f"{name} must hold numbers, not {array.dtype}.")
+            if not np.isfinite(array).all():
+                raise EpisodeError(f"{name} holds NaN or infinity.")
+        lengths = {name: len(array) for name, array in self.arrays.items()}
+        lengths |= {name: v.count if isinstance(v, VideoPart) else len(v) for name, v in self.videos.items()}
+        if self.times.ndim != 1 or not len(self.times) or set(lengths.values()) - {len(self.times)}:
+            raise EpisodeError(f"all arrays of an episode need {self.times.shape} steps as its times; got {lengths}.")
+
+    def __len__(self) -> int:
+        """Number of steps n."""
+        return len(self.times)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """The array of this name (n, ...). Raises EpisodeError, with the names there are."""
+        if name not in self.arrays:
+            raise EpisodeError(f"the episode has no {name!r}; it has {', '.join(self.arrays)}.")
+        return self.arrays[name]
+
+    def frames(self, name: str) -> Frames:
+        """The frames (n, H, W, 3) of the camera of this name. Raises EpisodeError, with the names there are."""
+        if name not in self.videos:
+            raise EpisodeError(f"the episode has no camera {name!r}; it has {', '.join(self.videos) or 'none'}.")
+        video = self.videos[name]
+        return video.read() if isinstance(video, VideoPart) else video
+
+    def frame_size(self, name: str) -> tuple[int, int]:
+        """Height and width of the frames of a camera [pixels]."""
+        video = self.videos[name]
+        first = replace(video, count=1).read() if isinstance(video, VideoPart) else video
+        return int(first.shape[1]), int(first.shape[2])
+
+    def demonstration(
+        self, state: str = "observation.state", observation: str | None = None, context: ArrayLike = ()
+    ) -> Demonstration:
+        """What inverse RL learns from, T = n - 1 steps.
+
+        Args:
+            state: name of the array whose first row is s_0.
+            observation: name of the array that the loss compares with the planned observations; default: `state`.
+            context: (n_c,) known beforehand, e.g. the goal.
+        """
+        observations = np.asarray(self[observation or state], float).reshape(len(self), -1)
+        return Demonstration(np.asarray(self[state][0], float).ravel(), np.asarray(context, float), observations)
+
+
+def take_of_episode(episode: Episode, task: str = "") -> Take:
+    """An episode of this package, whose T+1 states become T+1 steps; the last action is a displacement of zero."""
+    still = np.zeros((1, episode.actions.shape[1]))
+    arrays = {
+        "observation.state": episode.joints,
+        "observation.keypoints": episode.keypoints.reshape(len(episode.joints), -1),
+        "action": np.vstack([episode.actions, still]),
+    }
+    return Take(arrays, episode.times, task=task)
+
+
+def episode_of_take(take: Take) -> Episode:
+    """The way back from `take_of_episode`."""
+    n = len(take)
+    joints, actions = (np.asarray(take[name], float) for name in ("observation.state", "action"))
+    keypoints = np.asarray(take["observation.keypoints"], float).reshape(n, -1, 3)
+    return Episode(joints, keypoints, actions[:-1], take.times)
