@@ -10,15 +10,35 @@ class RobotError(KpirlError, ValueError):
 
 
 class ProblemError(KpirlError, ValueError):
-    """An optimal-control problem is inconsistent, or does not fit the solver or method it was given to."""
+    """An optimal-control problem or an argument is inconsistent, or does not fit the solver or method it is for."""
 
 
-class EpisodeError(KpirlError, ValueError):
+class SceneError(KpirlError, ValueError):
+    """The simulated scene cannot do what it was asked: a posture out of reach or limits, an unknown link or rate."""
+
+
+class FileError(KpirlError, ValueError):
+    """A file or folder is missing, malformed or belongs to something else; the message names it."""
+
+
+class EpisodeError(FileError):
     """An episode on disk is missing, malformed or not finite; the message names file and key."""
 
 
-class ModelError(KpirlError, ValueError):
+class ModelError(FileError):
     """A network on disk is missing, malformed or of an unsupported kind; the message names file and key."""
+
+
+class DependencyError(KpirlError, ImportError):
+    """An optional package is not installed; the message says how to install it."""
+
+
+class CompilerError(KpirlError, RuntimeError):
+    """There is no C compiler, or it refused the generated code; the message holds its words."""
+
+
+class TrainingError(KpirlError, RuntimeError):
+    """A network cannot be trained or scored: settings or data do not allow it, or the loss became NaN."""
 
 
 class SolveError(KpirlError, RuntimeError):
@@ -33,5 +53,8 @@ class CertificateError(KpirlError, RuntimeError):
     """
 
     def __init__(self, message: str, certificate: object) -> None:
-        super().__init__(message)
+        super().__init__(message, certificate)  # both are kept in `args`, from which pickle builds the copy
         self.certificate = certificate
+
+    def __str__(self) -> str:
+        return str(self.args[0])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kpirl_ocp.episodes import episode_path, read_episode, read_meta
-from kpirl_ocp.errors import EpisodeError, ProblemError
+from kpirl_ocp.errors import EpisodeError, FileError, ProblemError, SceneError
 from kpirl_ocp.perception.data.clips import recordings, unlabelled
 from kpirl_ocp.perception.data.collect import collect
 from kpirl_ocp.perception.data.motions import MOTIONS, HandPlacing, HandWandering, LastJoint, Placing, Reaching, Sines
@@ -106,7 +106,7 @@ def test_actions_aim_from_where_the_arm_is_at_where_it_should_be(played):
 
 
 def test_a_motion_that_never_fits_into_the_image_is_refused():
-    with pytest.raises(ProblemError, match="smaller amplitudes"):
+    with pytest.raises(SceneError, match="smaller amplitudes"):
         play(Sines(amplitude=20.0, steps=20), 1)
 
 
@@ -162,7 +162,7 @@ def test_a_collection_of_a_hand_is_read_as_recordings_or_as_videos(tmp_path):
 
 
 def test_a_directory_without_videos_is_refused(tmp_path):
-    with pytest.raises(EpisodeError, match=f"{tmp_path.name} holds no"):
+    with pytest.raises(FileError, match=f"{tmp_path.name} holds no"):
         unlabelled([tmp_path])
 
 
@@ -249,23 +249,28 @@ def test_other_settings_in_the_same_directory_are_refused(collection, motion, se
 
 @pytest.mark.parametrize(("count", "jobs"), [(0, 1), (-1, 1), (1, 0)])
 def test_no_episode_or_no_process_is_refused_before_anything_is_written(tmp_path, count, jobs):
-    with pytest.raises(EpisodeError, match="at least one"):
+    with pytest.raises(ProblemError, match="at least one"):
         collect(tmp_path / "data", MOTION, count, jobs=jobs)
     assert not (tmp_path / "data").exists()
 
 
 def test_a_negative_seed_is_refused(tmp_path):
-    with pytest.raises(EpisodeError, match="a seed >= 0, got 1, 1 and -1"):
+    with pytest.raises(ProblemError, match="a seed >= 0, got 1, 1 and -1"):
         collect(tmp_path / "data", MOTION, 1, seed=-1)
     assert not (tmp_path / "data").exists()
 
 
 @pytest.mark.parametrize(
-    ("motion", "setting"),
-    [(LastJoint, {"frames": 1}), (Sines, {"steps": 0}), (Placing, {"noise": -0.1}), (Reaching, {"rate": 7})],
+    ("motion", "setting", "error"),
+    [
+        (LastJoint, {"frames": 1}, ProblemError),
+        (Sines, {"steps": 0}, ProblemError),
+        (Placing, {"noise": -0.1}, ProblemError),
+        (Reaching, {"rate": 7}, SceneError),
+    ],
 )
-def test_settings_that_cannot_be_played_are_refused(motion, setting):
-    with pytest.raises(ProblemError, match=next(iter(setting))):
+def test_settings_that_cannot_be_played_are_refused(motion, setting, error):
+    with pytest.raises(error, match=next(iter(setting))):
         motion(**setting)
 
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.numpy import load_file, save_file
 
-from kpirl_ocp.errors import EpisodeError, ModelError, ProblemError
+from kpirl_ocp.errors import FileError, ModelError, ProblemError, TrainingError
 from kpirl_ocp.perception.data.recordings import Recording
 from kpirl_ocp.perception.detector import losses
 from kpirl_ocp.perception.detector.detector import KeypointDetector
@@ -196,18 +196,18 @@ def test_all_presets_can_be_built_and_make_a_step():
     ("clips", "message"), [([], "there are none"), ([CLIPS[0], CLIPS[1][:2]], "at least 3 frames; the shortest has 2")]
 )
 def test_clips_that_are_too_short_or_none_are_refused(clips, message):
-    with pytest.raises(EpisodeError, match=message):
+    with pytest.raises(TrainingError, match=message):
         train_detector(clips, TINY)
 
 
 def test_a_loss_that_is_no_number_stops_the_training():
-    with pytest.raises(ProblemError, match=r"the loss became .* smaller step size"):
+    with pytest.raises(TrainingError, match=r"the loss became .* smaller step size"):
         train_detector(CLIPS, replace(TINY, step_size=1e30, steps=5))
 
 
 @pytest.mark.parametrize("name", ["keypoints", "filters", "steps", "batch", "frames", "patience"])
 def test_training_of_nothing_is_refused(name):
-    with pytest.raises(ProblemError, match=f"{name} must be at least 1, got 0"):
+    with pytest.raises(TrainingError, match=f"{name} must be at least 1, got 0"):
         replace(TINY, **{name: 0})
 
 
@@ -227,7 +227,7 @@ def checkpoint(tmp_path):
 
 @pytest.mark.parametrize(("seed", "settings"), [(1, replace(TINY, steps=2)), (0, replace(TINY, steps=3))])
 def test_a_checkpoint_of_other_settings_is_refused(checkpoint, seed, settings):
-    with pytest.raises(EpisodeError, match=f"{checkpoint.name} belongs to a training with other settings"):
+    with pytest.raises(FileError, match=f"{checkpoint.name} belongs to a training with other settings"):
         train_detector(CLIPS, settings, seed, checkpoint=checkpoint)
 
 
@@ -235,13 +235,13 @@ def test_a_damaged_checkpoint_is_named(checkpoint):
     whole = checkpoint.read_bytes()
     for content in (b"", b"hello", whole[:100], whole[: len(whole) // 2], whole[:-1]):
         checkpoint.write_bytes(content)
-        with pytest.raises(EpisodeError, match=f"{checkpoint.name} is no checkpoint.*Delete it"):
+        with pytest.raises(FileError, match=f"{checkpoint.name} is no checkpoint.*Delete it"):
             train_detector(CLIPS, replace(TINY, steps=2), checkpoint=checkpoint)
 
 
 def test_weights_that_are_no_checkpoint_are_refused(checkpoint):
     save_file({"x": np.zeros(3, np.float32)}, checkpoint)
-    with pytest.raises(EpisodeError, match="other settings"):
+    with pytest.raises(FileError, match="other settings"):
         train_detector(CLIPS, replace(TINY, steps=2), checkpoint=checkpoint)
 
 
@@ -466,5 +466,5 @@ def test_a_keypoint_counts_as_on_the_object_from_four_fifths_of_the_frames():
 
 
 def test_scores_need_two_clips():
-    with pytest.raises(EpisodeError, match="at least two clips, got 1"):
+    with pytest.raises(TrainingError, match="at least two clips, got 1"):
         scores([FILMS[0].place[:, None]], FILMS[:1])

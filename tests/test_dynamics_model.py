@@ -9,7 +9,7 @@ import torch
 from safetensors.numpy import load_file, save_file
 
 from kpirl_ocp.episodes import ArmTrack
-from kpirl_ocp.errors import EpisodeError, ModelError, ProblemError
+from kpirl_ocp.errors import ModelError, TrainingError
 from kpirl_ocp.perception.dynamics.model import ACTIVATIONS, DynamicsModel
 from kpirl_ocp.perception.dynamics.training import DynamicsSettings, Stretches, score_dynamics, train_dynamics
 
@@ -136,7 +136,7 @@ def test_stretches_are_all_windows_of_all_trajectories():
 
 
 def test_trajectories_that_are_too_short_are_refused():
-    with pytest.raises(EpisodeError, match="no trajectory has 20 steps"):
+    with pytest.raises(TrainingError, match="no trajectory has 20 steps"):
         Stretches.of(TEST, 20)
 
 
@@ -193,23 +193,23 @@ def test_every_activation_can_be_trained(activation):
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_fewer_than_two_trajectories_are_refused(count):
-    with pytest.raises(EpisodeError, match=f"at least two trajectories, got {count}"):
+    with pytest.raises(TrainingError, match=f"at least two trajectories, got {count}"):
         train_dynamics(TRAIN[:count], QUICK)
 
 
 def test_a_loss_that_is_no_number_stops_the_training():
-    with pytest.raises(ProblemError, match="smaller step size"):
+    with pytest.raises(TrainingError, match="smaller step size"):
         train_dynamics(TRAIN, replace(QUICK, step_size=1e30))
 
 
 def test_a_model_that_predicts_nan_is_never_given_back():
-    with pytest.raises(ProblemError, match="smaller step size"):
+    with pytest.raises(TrainingError, match="smaller step size"):
         train_dynamics(TRAIN, replace(QUICK, epochs=1, batch=100_000, step_size=1e30))
 
 
 @pytest.mark.parametrize("wrong", [{"steps": 0}, {"epochs": 0}])
 def test_training_of_nothing_is_refused(wrong):
-    with pytest.raises((EpisodeError, ProblemError)):
+    with pytest.raises(TrainingError, match="must be at least 1"):
         train_dynamics(TRAIN, replace(QUICK, **wrong))
 
 
@@ -219,7 +219,7 @@ def test_a_coordinate_that_never_moves_is_named_or_left_out():
     try:
         _, curves = train_dynamics(stuck, QUICK)
         assert np.isfinite(curves["validation"]).all()
-    except (EpisodeError, ProblemError) as error:
+    except TrainingError as error:
         said = str(error)
     assert "step size" not in said
 

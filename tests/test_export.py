@@ -10,7 +10,7 @@ from exported import COMPILERS, STRICT, folder
 from problems import TABLE
 
 from kpirl_ocp import Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory, Unrolled
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.ocp.sensitivity.implicit_function import Response
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance
@@ -183,8 +183,8 @@ def test_status_codes_are_those_of_python():
 
 
 def test_a_folder_of_another_format_or_none_is_refused(tmp_path):
-    with pytest.raises(ProblemError, match="does not exist"):
+    with pytest.raises(FileError, match="does not exist"):
         ExportedSolver(tmp_path)
     (tmp_path / "manifest.json").write_text('{"format": 0}')
-    with pytest.raises(ProblemError, match="export it again"):
+    with pytest.raises(FileError, match="export it again"):
         ExportedSolver(tmp_path)

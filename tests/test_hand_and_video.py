@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from kpirl_ocp.errors import EpisodeError, ProblemError
+from kpirl_ocp.errors import FileError, ProblemError, SceneError
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.video import read_demonstration
 from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path
@@ -46,7 +46,7 @@ def test_the_bottle_is_where_the_hand_holds_it():
 
 
 def test_a_place_that_is_none_is_refused():
-    with HandScene() as scene, pytest.raises(ProblemError, match="three finite numbers"):
+    with HandScene() as scene, pytest.raises(SceneError, match="three finite numbers"):
         scene.look([0.5, np.nan, 0.6])
 
 
@@ -96,20 +96,20 @@ def test_a_file_that_is_no_video_is_named_with_the_reason(tmp_path, name, conten
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(EpisodeError, match=message) as caught:
+    with pytest.raises(FileError, match=message) as caught:
         read_demonstration(path)
     assert name in str(caught.value)
 
 
 def test_impossible_requests_are_refused(tmp_path, film):
     path = write_video(tmp_path / "slow.avi", film[:4], 2)
-    with pytest.raises(EpisodeError, match="2 frames per second"):
+    with pytest.raises(FileError, match="2 frames per second"):
         read_demonstration(path, rate=5)
-    with pytest.raises(EpisodeError, match="no PNG"):
+    with pytest.raises(FileError, match="no PNG"):
         read_demonstration(tmp_path, source_rate=30)
-    with pytest.raises(EpisodeError, match="source_rate"):
+    with pytest.raises(FileError, match="source_rate"):
         read_demonstration(tmp_path)
-    with pytest.raises(EpisodeError, match="uint8"):
+    with pytest.raises(ProblemError, match="uint8"):
         write_video(tmp_path / "float.avi", film / 255.0, 30)
-    with pytest.raises(EpisodeError, match="does the directory exist"):
+    with pytest.raises(FileError, match="does the directory exist"):
         write_video(tmp_path / "nowhere" / "film.avi", film, 30)

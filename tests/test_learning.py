@@ -14,7 +14,7 @@ from kpirl_ocp import (
     Weighted,
     keypoint_ocp,
 )
-from kpirl_ocp.errors import CertificateError, ProblemError
+from kpirl_ocp.errors import CertificateError, FileError, ProblemError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.cases.examples import lqr, pendulum
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
@@ -164,7 +164,7 @@ def test_a_learned_cost_plans_the_same_after_a_round_trip_through_its_file(tmp_p
 def test_a_malformed_cost_file_is_named(tmp_path, text):
     path = tmp_path / "cost.json"
     path.write_text(text)
-    with pytest.raises(ProblemError, match=r"cost\.json"):
+    with pytest.raises(FileError, match=r"cost\.json"):
         LearnedCost.read(path)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from kpirl_ocp.errors import ModelError
+from kpirl_ocp.errors import DependencyError, ModelError
 from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
 from kpirl_ocp.ocp.models.onnx.load import load_onnx
 
@@ -161,5 +161,5 @@ def test_files_that_are_missing_or_garbled_are_named(path):
 
 def test_without_the_onnx_package_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(ModelError, match="pip install onnx"):
+    with pytest.raises(DependencyError, match="pip install onnx"):
         load_onnx("network.onnx")

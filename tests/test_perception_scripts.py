@@ -143,7 +143,7 @@ WRONG = {
     "no data": (["train_keypoints.py", "--data", "nowhere"], "nowhere/meta.json does not exist"),
     "no detector": (
         ["train_dynamics.py", "--detector", "{data}/dynamics/dynamics.json", "--data", "x", "--test", "x"],
-        "dynamics.json must be a kpirl_ocp.detector",
+        "dynamics.json: 'kind' must be 'kpirl_ocp.detector'",
     ),
 }
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import SceneError
 from kpirl_ocp.perception.scene.posture import UPRIGHT, carry
 from kpirl_ocp.perception.scene.scene import Motors, Scene
 
@@ -49,11 +49,11 @@ def test_only_the_joints_of_the_plane_are_used_and_the_elbow_is_up():
 def test_the_arm_reaches_as_far_as_it_is_long():
     reach = UPPER_ARM + FOREARM + HAND
     np.testing.assert_allclose(carry(reach - 1e-9, SHOULDER), [0, UPRIGHT, 0, 0, 0, 0, 0], rtol=0, atol=1e-3)
-    with pytest.raises(ProblemError, match=r"cannot hold the bottle at x = 1\.017"):
+    with pytest.raises(SceneError, match=r"cannot hold the bottle at x = 1\.017"):
         carry(reach + 1e-3, SHOULDER)
 
 
 @pytest.mark.parametrize("place", [(HAND, SHOULDER), (np.nan, 0.5), (0.6, np.nan), (0.6, np.inf)])
 def test_a_place_too_near_or_no_place_at_all_is_refused(place):
-    with pytest.raises(ProblemError, match="cannot hold"):
+    with pytest.raises(SceneError, match="cannot hold"):
         carry(*place)

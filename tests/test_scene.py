@@ -5,7 +5,7 @@ import pinocchio as pin
 import pybullet
 import pytest
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import SceneError
 from kpirl_ocp.ocp.models.robot import Robot
 from kpirl_ocp.perception.scene.camera import Camera
 from kpirl_ocp.perception.scene.scene import Motors, Scene
@@ -135,18 +135,18 @@ def test_joint_limits_are_respected(scene, ideal):
         for _ in range(3):
             state = opened.step(np.full(7, 0.5))
         assert (state.positions <= upper + 1e-3).all()
-    with pytest.raises(ProblemError, match="joint limits"):
+    with pytest.raises(SceneError, match="joint limits"):
         scene.reset(lower - 0.1)
 
 
 def test_wrong_input_is_refused(scene):
-    with pytest.raises(ProblemError, match="7 finite numbers"):
+    with pytest.raises(SceneError, match="7 finite numbers"):
         scene.step(np.zeros(6))
-    with pytest.raises(ProblemError, match="7 finite numbers"):
+    with pytest.raises(SceneError, match="7 finite numbers"):
         scene.step(np.full(7, np.nan))
-    with pytest.raises(ProblemError, match=r"no link 'hand'.*gripper"):
+    with pytest.raises(SceneError, match=r"no link 'hand'.*gripper"):
         scene.link_pose("hand")
-    with pytest.raises(ProblemError, match="rate must divide"):
+    with pytest.raises(SceneError, match="rate must divide"):
         Scene(rate=7)
 
 

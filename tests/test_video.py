@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import FileError
 from kpirl_ocp.perception.data.clips import unlabelled
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.video import every, iterate_frames, read_demonstration, sampled, sampled_frames
@@ -150,7 +150,7 @@ def test_a_long_film_is_read_in_the_memory_of_its_result(tmp_path):
 def test_frames_are_decoded_only_as_far_as_they_are_wanted(tmp_path):
     path = film(tmp_path / "long.mp4", "libx264", "yuv420p", [grey(0)] * 90)
     assert [round(time, 3) for time, _ in sampled_frames(path, 5, start=0.4, end=1.0)] == [0.4, 0.6, 0.8, 1.0]
-    with pytest.raises(EpisodeError, match=r"ends after 2\.97 s"):
+    with pytest.raises(FileError, match=r"ends after 2\.97 s"):
         list(sampled_frames(path, 5, start=4.0))
 
 
@@ -187,7 +187,7 @@ def test_half_a_file_is_never_a_shorter_film(tmp_path, name, share):
     whole = path.read_bytes()
     for cut in range(int(share * len(whole)), int(share * len(whole)) + 3000, 500):
         path.write_bytes(whole[:cut])
-        with pytest.raises(EpisodeError, match="complete") as caught:
+        with pytest.raises(FileError, match="complete") as caught:
             read_demonstration(path)
         assert name in str(caught.value)
 
@@ -201,7 +201,7 @@ def test_what_comes_before_the_damage_can_be_used(tmp_path):
 def test_a_codec_that_cannot_be_decoded_is_named_with_the_command_that_converts_it(tmp_path):
     path = film(tmp_path / "strange.mp4", "libx264", "yuv420p", [picture()] * 3)
     path.write_bytes(path.read_bytes().replace(b"avc1", b"xyz9"))
-    with pytest.raises(EpisodeError, match=r"codec 'xyz9'.*\n.*ffmpeg -i strange.mp4 .*strange-h264.mp4"):
+    with pytest.raises(FileError, match=r"codec 'xyz9'.*\n.*ffmpeg -i strange.mp4 .*strange-h264.mp4"):
         next(iterate_frames(path))
 
 
@@ -213,7 +213,7 @@ def test_sound_alone_is_no_video(tmp_path):
         sound.rate = 8000
         container.mux(stream.encode(sound))
         container.mux(stream.encode())
-    with pytest.raises(EpisodeError, match="no video"):
+    with pytest.raises(FileError, match="no video"):
         next(iterate_frames(path))
 
 
@@ -231,7 +231,7 @@ def test_pictures_come_in_the_order_in_which_people_number_them(tmp_path):
 def test_pictures_of_several_sizes_are_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "1.png"), picture())
     cv2.imwrite(str(tmp_path / "2.png"), picture(20, 20))
-    with pytest.raises(EpisodeError, match=r"differ in size: 2.png"):
+    with pytest.raises(FileError, match=r"differ in size: 2.png"):
         list(iterate_frames(tmp_path, source_rate=10))
 
 
@@ -240,11 +240,11 @@ def test_a_directory_of_videos_of_any_kind_is_read_in_natural_order(tmp_path):
         film(tmp_path / f"clip{index}.{'m4v' if index == 2 else 'mov'}", "libx264", "yuv420p", [grey(20 * index)] * 7)
     assert [round(clip.mean() / 20) for clip in unlabelled([tmp_path])] == [1, 2, 10]
     (tmp_path / "empty").mkdir()
-    with pytest.raises(EpisodeError, match="holds no video"):
+    with pytest.raises(FileError, match="holds no video"):
         unlabelled([tmp_path / "empty"])
 
 
 def test_a_video_is_not_told_its_frame_rate(tmp_path):
     path = film(tmp_path / "clip.mp4", "libx264", "yuv420p", [picture()] * 3)
-    with pytest.raises(EpisodeError, match="times of its own"):
+    with pytest.raises(FileError, match="times of its own"):
         read_demonstration(path, source_rate=30)

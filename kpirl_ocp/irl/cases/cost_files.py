@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import FileError
 from kpirl_ocp.ocp.models.keypoint_costs import RBF, Basis, Default, KeypointCost, TimeDependent, Weighted
 from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp
 from kpirl_ocp.ocp.models.robot import Robot
@@ -54,7 +54,7 @@ class LearnedCost:
 
     @classmethod
     def read(cls, path: Path) -> LearnedCost:
-        """Read it back. Raises ProblemError, naming the file, if it is missing or malformed."""
+        """Read it back. Raises FileError, naming the file, if it is missing or malformed."""
         try:
             content = json.loads(path.read_text())
             effort = content["effort"]
@@ -67,9 +67,9 @@ class LearnedCost:
             psi, horizon = np.array(content["psi"], float), content["horizon"]
             return cls(cost, psi, horizon, _build(SOLVERS, content["solver"]))
         except FileNotFoundError:
-            raise ProblemError(f"{path} does not exist: learn a cost with scripts/learn_cost.py.") from None
+            raise FileError(f"{path} does not exist: learn a cost with scripts/learn_cost.py.") from None
         except (KeyError, TypeError, ValueError) as error:
-            raise ProblemError(f"{path} is not a learned cost: {error!r}.") from error
+            raise FileError(f"{path} is not a learned cost: {error!r}.") from error
 
 
 def make_basis(name: str) -> Basis:

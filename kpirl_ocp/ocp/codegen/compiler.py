@@ -22,7 +22,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels
 
 # No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order. The -fno flags only promise
@@ -90,11 +90,11 @@ def compile_folder(folder: Path, flags: Sequence[str] = EXPORT_FLAGS_NATIVE, com
         compiler: its command; by default the system's.
 
     Raises:
-        ProblemError: without a compiler, or with its own words when it fails.
+        CompilerError: without a compiler, or with its own words when it fails.
     """
     compiler = compiler or find_compiler()
     if compiler is None:
-        raise ProblemError("no C compiler (cc, gcc, clang) was found: install one, or solve in Python.")
+        raise CompilerError("no C compiler (cc, gcc, clang) was found: install one, or solve in Python.")
     sources = sorted(folder.glob("*.c"))
     texts = [path.read_text() for path in sorted([*sources, *folder.glob("*.h")])]
     options = [*flags, "-fPIC", "-shared"]
@@ -102,7 +102,7 @@ def compile_folder(folder: Path, flags: Sequence[str] = EXPORT_FLAGS_NATIVE, com
     try:
         return cached(folder.name or "controller", key, lambda target: link(compiler, options, sources, target))
     except subprocess.CalledProcessError as error:
-        raise ProblemError(f"{compiler} could not compile {folder}{os.sep}*.c: {error.stderr}") from error
+        raise CompilerError(f"{compiler} could not compile {folder}{os.sep}*.c: {error.stderr}") from error
 
 
 def cached(name: str, key: str, build: Callable[[Path], None]) -> Path:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.ocp.codegen.c_structures import Structures, address
 from kpirl_ocp.ocp.codegen.compiler import EXPORT_FLAGS_NATIVE, compile_folder
 from kpirl_ocp.ocp.export.folder import FORMAT, dimensions, fingerprint
@@ -32,7 +32,12 @@ class ExportedSolver:
     def __init__(
         self, folder: str | Path, flags: Sequence[str] = EXPORT_FLAGS_NATIVE, compiler: str | None = None
     ) -> None:
-        """Build, unless the cache has it, and load. Raises ProblemError for a folder that is no controller."""
+        """Build, unless the cache has it, and load.
+
+        Raises:
+            FileError: the folder is no exported controller, or one of another format.
+            CompilerError: it cannot be built.
+        """
         self.folder = Path(folder)
         self.manifest = _manifest(self.folder)
         self.structures = Structures.of(self.manifest["problem"], any("_FLOAT" in flag for flag in flags))
@@ -226,13 +231,9 @@ def _manifest(folder: Path) -> dict[str, Any]:
     try:
         manifest = json.loads(path.read_text())
     except FileNotFoundError:
-        raise ProblemError(
-            f"{path} does not exist: export a controller with export_c or scripts/export_mpc.py."
-        ) from None
+        raise FileError(f"{path} does not exist: export a controller with export_c or scripts/export_mpc.py.") from None
     if manifest.get("format") != FORMAT:
-        raise ProblemError(
-            f"{path} has format {manifest.get('format')!r}, this version reads {FORMAT}: export it again."
-        )
+        raise FileError(f"{path} has format {manifest.get('format')!r}, this version reads {FORMAT}: export it again.")
     return dict(manifest)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from kpirl_ocp.assets import iiwa_urdf
-from kpirl_ocp.errors import RobotError
+from kpirl_ocp.errors import DependencyError, RobotError
 
 _REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 _CONTINUOUS = ("JointModelRUBX", "JointModelRUBY", "JointModelRUBZ", "JointModelRevoluteUnboundedUnaligned")
@@ -228,5 +228,5 @@ def _example_urdfs() -> dict[str, Path]:
     roots = [parent / "share" / "example-robot-data" / "robots" for parent in Path(pin.__file__).parents]
     root = next((root for root in roots if root.is_dir()), None)
     if root is None:
-        raise RobotError("the package example-robot-data is not installed: pip install example-robot-data.")
+        raise DependencyError("the package example-robot-data is not installed: pip install example-robot-data.")
     return {path.stem.removesuffix("_robot"): path for path in sorted(root.rglob("*.urdf"))}

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from kpirl_ocp.episodes import episode_path, iterate_episodes, read_meta
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import FileError
 from kpirl_ocp.perception.data.decoding import VIDEO_SUFFIXES
 from kpirl_ocp.perception.data.pictures import natural_order
 from kpirl_ocp.perception.data.recordings import Recording, read_hand
@@ -25,12 +25,12 @@ def recordings(directory: str | Path) -> list[Recording]:
 
 
 def unlabelled(paths: Sequence[str | Path]) -> list[Frames]:
-    """Frames at 5 Hz of videos, or of all videos in directories. Raises EpisodeError if a directory has none."""
+    """Frames at 5 Hz of videos, or of all videos in directories. Raises FileError if a directory has none."""
     clips = []
     for path in map(Path, paths):
         videos = _videos_in(path) if path.is_dir() else [path]
         if not videos:
-            raise EpisodeError(f"{path} holds no video ({', '.join(VIDEO_SUFFIXES)}).")
+            raise FileError(f"{path} holds no video ({', '.join(VIDEO_SUFFIXES)}).")
         clips += [read_demonstration(video, rate=_RATE) for video in videos]
     return clips
 

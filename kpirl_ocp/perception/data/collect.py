@@ -16,7 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 from kpirl_ocp.episodes import episode_path, read_meta, write_meta
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import EpisodeError, ProblemError
 from kpirl_ocp.perception.data.motions import MOTIONS, ArmMotion, Motion
 from kpirl_ocp.perception.scene.camera import Camera
 
@@ -28,7 +28,7 @@ def collect(directory: str | Path, motion: Motion, count: int, seed: int = 0, jo
     """
     directory = Path(directory)
     if count < 1 or jobs < 1 or seed < 0:
-        raise EpisodeError(
+        raise ProblemError(
             f"{directory}: needs at least one episode and one process and a seed >= 0, got {count}, {jobs} and {seed}."
         )
     directory.mkdir(parents=True, exist_ok=True)

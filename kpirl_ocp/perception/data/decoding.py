@@ -12,7 +12,7 @@ import av.logging
 import numpy as np
 from numpy.typing import NDArray
 
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import FileError
 
 VIDEO_SUFFIXES = (
     *(".mp4", ".m4v", ".mov", ".3gp", ".3g2", ".avi", ".webm", ".mkv", ".mts"),
@@ -26,14 +26,12 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
     The rotation that a phone notes in the file is applied. What comes after `end` may be missing or damaged.
 
     Raises:
-        EpisodeError: the file is missing, no video, of an unknown codec, damaged or incomplete.
+        FileError: the file is missing, no video, of an unknown codec, damaged or incomplete.
     """
     if not path.is_file():
-        raise EpisodeError(f"there is no video {path}.")
+        raise FileError(f"there is no video {path}.")
     if path.suffix.lower() not in VIDEO_SUFFIXES:
-        raise EpisodeError(
-            f"{path} is not a video: expected one of {', '.join(VIDEO_SUFFIXES)}, or a folder of pictures."
-        )
+        raise FileError(f"{path} is not a video: expected one of {', '.join(VIDEO_SUFFIXES)}, or a folder of pictures.")
     container, stream = _open(path)
     first: float | None = None
     time = period = longest = 0.0  # of the last frame, since the one before it, and the longest such pause [s]
@@ -50,37 +48,37 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
                     return
                 yield time, _upright(frame, stream)
         except av.error.FFmpegError as error:
-            raise EpisodeError(
+            raise FileError(
                 f"{path} is damaged or incomplete after {time:.2f} of {promised:.2f} s: copy it again, or end before."
             ) from error
     if first is None:
-        raise EpisodeError(f"{path} cannot be decoded as a video; is it complete?")
+        raise FileError(f"{path} cannot be decoded as a video; is it complete?")
     missing = promised - (time + period)
     if missing > max(2 * longest, min(0.25, 0.1 * promised)) and time + period < end:
-        raise EpisodeError(
+        raise FileError(
             f"{path} is incomplete: it ends after {time + period:.2f} of {promised:.2f} s. "
             "Copy it again, or end before."
         )
 
 
 def _open(path: Path) -> tuple[av.container.InputContainer, av.VideoStream]:
-    """The file and its first video stream. Raises EpisodeError if there is none that can be decoded."""
+    """The file and its first video stream. Raises FileError if there is none that can be decoded."""
     level = av.logging.get_level()
     with av.logging.Capture() as log:
         av.logging.set_level(av.logging.WARNING)
         try:
             container = av.open(str(path))
         except av.error.FFmpegError as error:
-            raise EpisodeError(f"{path} cannot be decoded as a video; is it complete? ({error.strerror})") from error
+            raise FileError(f"{path} cannot be decoded as a video; is it complete? ({error.strerror})") from error
         finally:
             av.logging.set_level(level)
     streams = container.streams.video
     if not streams:
-        raise EpisodeError(f"{path} holds no video, only sound or subtitles.")
+        raise FileError(f"{path} holds no video, only sound or subtitles.")
     if streams[0].codec_context is None:
         found = re.search(r"Video: (\S+)(?: \((\S+))?", " ".join(text for _, _, text in log))
         codec = next((name for name in reversed(found.groups()) if name), "?") if found else "?"
-        raise EpisodeError(
+        raise FileError(
             f"{path}: its codec {codec!r} cannot be decoded here. Convert it with\n"
             f"    ffmpeg -i {path.name} -c:v libx264 -pix_fmt yuv420p {path.stem}-h264.mp4"
         )

@@ -11,7 +11,7 @@ import av
 import av.error
 import numpy as np
 
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.perception.data.video import Frames
 
 Codec = Literal["ffv1", "h264"]
@@ -23,14 +23,14 @@ def write_video(path: str | Path, frames: Iterable[Frames], rate: float, codec: 
 
     codec: "ffv1" in .avi is lossless; "h264" in .mp4 is not, and an odd last row or column is left out.
 
-    Raises EpisodeError for frames of another kind, or if the file cannot be written.
+    Raises FileError for frames of another kind, or if the file cannot be written.
     """
     path = Path(path)
     part = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
         _encode(part, path, frames, rate, codec)
     except (OSError, av.error.FFmpegError) as error:
-        raise EpisodeError(f"{path} cannot be written as {codec}; does the directory exist? ({error})") from error
+        raise FileError(f"{path} cannot be written as {codec}; does the directory exist? ({error})") from error
     except BaseException:
         part.unlink(missing_ok=True)
         raise
@@ -46,7 +46,7 @@ def _encode(part: Path, path: Path, frames: Iterable[Frames], rate: float, codec
         stream.pix_fmt = pixels
         for image in map(np.asarray, frames):
             if image.ndim != 3 or image.shape != (shape or (*image.shape[:2], 3)) or image.dtype != np.uint8:
-                raise EpisodeError(f"{path}: frames must be (n, H, W, 3) uint8, got {image.shape} {image.dtype}.")
+                raise ProblemError(f"{path}: frames must be (n, H, W, 3) uint8, got {image.shape} {image.dtype}.")
             even = 2 if codec == "h264" else 1  # H.264 stores colours for squares of four pixels
             height, width = (side // even * even for side in image.shape[:2])
             if not shape:
@@ -54,5 +54,5 @@ def _encode(part: Path, path: Path, frames: Iterable[Frames], rate: float, codec
             whole = np.ascontiguousarray(image[:height, :width])
             container.mux(stream.encode(av.VideoFrame.from_ndarray(whole, format="rgb24")))
         if not shape:
-            raise EpisodeError(f"{path}: there are no frames to write.")
+            raise ProblemError(f"{path}: there are no frames to write.")
         container.mux(stream.encode())

@@ -16,7 +16,7 @@ from typing import ClassVar, Protocol, TypeVar
 import numpy as np
 
 from kpirl_ocp.episodes import write_episode
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import ProblemError, SceneError
 from kpirl_ocp.motion import forward_then_down, minimum_jerk
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.recordings import ArmRecording, Truth
@@ -257,14 +257,14 @@ def _visible(scene: Scene, draw: Callable[[], Array]) -> Array:
     for _ in range(1000):
         try:
             reference = draw()
-        except ProblemError:
+        except SceneError:
             continue  # out of reach
         if ((reference >= low) & (reference <= high)).all():
             positions = np.array([_position(scene, theta) for theta in reference])
             places = scene.camera.project(positions)
             if ((places > _MARGIN) & (places < size - _MARGIN)).all() and (positions[:, 2] > _SHELF - 1e-3).all():
                 return reference
-    raise ProblemError("no motion with the bottle in the image was found in 1000 draws: use smaller amplitudes.")
+    raise SceneError("no motion with the bottle in the image was found in 1000 draws: use smaller amplitudes.")
 
 
 def _position(scene: Scene, theta: Array) -> Array:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import FileError
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
@@ -24,17 +24,17 @@ def natural_order(path: Path) -> tuple[tuple[int, int, str], ...]:
 def iterate_pictures(folder: Path) -> Iterator[NDArray[np.uint8]]:
     """The pictures (H, W, 3) RGB of a folder one by one, upright as the camera noted (EXIF).
 
-    Raises EpisodeError if there are none, or one cannot be read or has another size.
+    Raises FileError if there are none, or one cannot be read or has another size.
     """
     paths = sorted((path for path in folder.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES), key=natural_order)
     if not paths:
-        raise EpisodeError(f"the folder {folder} holds no PNG or JPEG pictures.")
+        raise FileError(f"the folder {folder} holds no PNG or JPEG pictures.")
     shape = None
     for path in paths:
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if image is None:
-            raise EpisodeError(f"{path} cannot be read as an image.")
+            raise FileError(f"{path} cannot be read as an image.")
         shape = shape or image.shape
         if image.shape != shape:
-            raise EpisodeError(f"the images in {folder} differ in size: {path.name} is {image.shape[1::-1]} pixels.")
+            raise FileError(f"the images in {folder} differ in size: {path.name} is {image.shape[1::-1]} pixels.")
         yield np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)

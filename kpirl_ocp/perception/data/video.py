@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import FileError
 from kpirl_ocp.perception.data.decoding import decode
 from kpirl_ocp.perception.data.pictures import iterate_pictures
 from kpirl_ocp.types import Indices
@@ -34,13 +34,13 @@ def iterate_frames(
         end: [s] of the last frame; what comes later need not be whole.
 
     Raises:
-        EpisodeError: the file is missing, no video, of an unknown codec or incomplete; the message names it.
+        FileError: the file is missing, no video, of an unknown codec or incomplete; the message names it.
     """
     path = Path(path)
     if path.is_dir() and source_rate is None:
-        raise EpisodeError(f"{path} is a folder of images: say its frame rate with source_rate.")
+        raise FileError(f"{path} is a folder of images: say its frame rate with source_rate.")
     if not path.is_dir() and source_rate is not None:
-        raise EpisodeError(f"{path} is no folder of images; source_rate is for those, a video has times of its own.")
+        raise FileError(f"{path} is no folder of images; source_rate is for those, a video has times of its own.")
     frames = decode(path, end) if source_rate is None else _paced(iterate_pictures(path), source_rate)
     for time, image in frames:
         if time > end + 1e-6:
@@ -75,10 +75,10 @@ def sampled_frames(
 ) -> Iterator[tuple[float, Frames]]:
     """The frames of `iterate_frames` nearest to start + k / rate, k = 0, 1, ... [s].
 
-    Raises EpisodeError as it does, and if the source has fewer frames per second than `rate`, or ends before `start`.
+    Raises FileError as it does, and if the source has fewer frames per second than `rate`, or ends before `start`.
     """
     if not rate > 0:
-        raise EpisodeError(f"{path} cannot be read at {rate:g} frames per second.")
+        raise FileError(f"{path} cannot be read at {rate:g} frames per second.")
     times: list[float] = []
     last, count, repeated = -1.0, 0, 0
     frames = _noting(iterate_frames(path, source_rate=source_rate, longest=longest, end=end), times)
@@ -86,10 +86,10 @@ def sampled_frames(
         count, repeated, last = count + 1, repeated + (time == last), time
         yield time, image
     if not count:
-        raise EpisodeError(f"{path} ends after {times[-1]:.2f} s; there is nothing from {start:g} s on.")
+        raise FileError(f"{path} ends after {times[-1]:.2f} s; there is nothing from {start:g} s on.")
     if repeated > _REPEATED * count:
         found = (len(times) - 1) / times[-1] if len(times) > 1 else 0.0
-        raise EpisodeError(f"{path} has {found:.4g} frames per second; {rate:g} cannot be taken from it.")
+        raise FileError(f"{path} has {found:.4g} frames per second; {rate:g} cannot be taken from it.")
 
 
 def read_demonstration(
@@ -97,7 +97,7 @@ def read_demonstration(
 ) -> Frames:
     """Frames (n, size, size, 3) of a video or a folder of pictures at `rate` [Hz], cropped to a square in the middle.
 
-    source_rate: [Hz] of a folder of pictures. Raises EpisodeError as `sampled_frames`.
+    source_rate: [Hz] of a folder of pictures. Raises FileError as `sampled_frames`.
     """
     return np.array([_square(image, size) for _, image in sampled_frames(path, rate, source_rate=source_rate)])
 

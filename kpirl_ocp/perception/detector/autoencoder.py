@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.perception.detector.keypoints import centres, expectation, gaussian_maps
 
 EncoderKind = Literal["resnet", "plain"]
@@ -78,7 +79,7 @@ class KeypointAutoencoder(nn.Module):
     def __init__(self, size: int, keypoints: int = 4, kind: EncoderKind = "resnet", filters: int = 16) -> None:
         super().__init__()
         if size % STRIDE:
-            raise ValueError(f"the image size must be a multiple of {STRIDE}, got {size}.")
+            raise ProblemError(f"the image size must be a multiple of {STRIDE}, got {size}.")
         self.cells = size // STRIDE
         self.encoder = encoder(kind, filters)
         self.head = nn.Conv2d(2 * filters, keypoints, 1)

@@ -16,7 +16,7 @@ from safetensors.torch import save
 from torch import nn
 
 from kpirl_ocp.episodes import replacing
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import FileError
 
 Curves = dict[str, list[float]]
 
@@ -43,7 +43,7 @@ class Checkpoint:
     def load(self, model: nn.Module, optimiser: torch.optim.Optimizer, terms: Sequence[str]) -> Curves:
         """Bring model and Adam to the stored state and give its curves; empty curves if nothing was stored.
 
-        Raises EpisodeError if the file is damaged or belongs to another configuration.
+        Raises FileError if the file is damaged or belongs to another configuration.
         """
         if self.path is None or not self.path.exists():
             return {term: [] for term in terms}
@@ -52,9 +52,9 @@ class Checkpoint:
                 metadata = file.metadata()
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no iterator)
         except SafetensorError as error:
-            raise EpisodeError(f"{self.path} is no checkpoint: {error}. Delete it to start anew.") from error
+            raise FileError(f"{self.path} is no checkpoint: {error}. Delete it to start anew.") from error
         if not metadata or metadata.get("configuration") != self.configuration:
-            raise EpisodeError(
+            raise FileError(
                 f"{self.path} belongs to a training with other settings or data: delete it, or use another --out."
             )
         model.load_state_dict(_below("model.", tensors))

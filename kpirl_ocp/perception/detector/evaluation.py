@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import TrainingError
 from kpirl_ocp.perception.data.recordings import Recording
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.keypoints import to_pixels
@@ -43,7 +43,7 @@ class DetectorScores:
 def score(detector: KeypointDetector, recordings: Sequence[Recording]) -> DetectorScores:
     """Score a detector on at least two clips it has not been trained on."""
     if len(recordings) < 2:
-        raise EpisodeError(f"scores need at least two clips, got {len(recordings)}.")
+        raise TrainingError(f"scores need at least two clips, got {len(recordings)}.")
     size = recordings[0].images.shape[1]
     tracks = [to_pixels(detector.detect(recording.images), size) for recording in recordings]  # (n, K, 2) each
     places = [recording.place for recording in recordings]

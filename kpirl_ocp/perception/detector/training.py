@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
-from kpirl_ocp.errors import EpisodeError, ProblemError
+from kpirl_ocp.errors import TrainingError
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector import losses
 from kpirl_ocp.perception.detector.autoencoder import EncoderKind, KeypointAutoencoder
@@ -67,7 +67,7 @@ class DetectorSettings:
     def __post_init__(self) -> None:
         for name in ("keypoints", "filters", "steps", "batch", "frames", "patience"):
             if getattr(self, name) < 1:
-                raise ProblemError(f"{name} must be at least 1, got {getattr(self, name)}.")
+                raise TrainingError(f"{name} must be at least 1, got {getattr(self, name)}.")
 
 
 PRESETS: Mapping[str, DetectorSettings] = {
@@ -104,7 +104,7 @@ def train_detector(
 
     checkpoint: a file written every hundred steps; if it exists, training goes on from there.
 
-    Raises EpisodeError for clips shorter than `settings.frames`, ProblemError when the loss becomes NaN.
+    Raises TrainingError for clips shorter than `settings.frames`, TrainingError when the loss becomes NaN.
     """
     torch.manual_seed(seed)
     model = KeypointAutoencoder(settings.size, settings.keypoints, settings.encoder, settings.filters)
@@ -122,7 +122,7 @@ def train_detector(
             for name, value in terms.items():
                 curves[name].append(value)
             if not np.isfinite(terms["total"]):
-                raise ProblemError(f"the loss became {terms['total']} in step {step}: use a smaller step size.")
+                raise TrainingError(f"the loss became {terms['total']} in step {step}: use a smaller step size.")
             bar.update()
             bar.set_postfix(loss=f"{terms['total']:.3g}")
             if (step + 1) % 100 == 0 or step + 1 == settings.steps:
@@ -169,7 +169,7 @@ def _resized(clips: Sequence[Frames], settings: DetectorSettings) -> list[NDArra
     """Clips (n, size, size, 3), by area averaging."""
     short = [len(clip) for clip in clips if len(clip) < settings.frames]
     if not clips or short:
-        raise EpisodeError(
+        raise TrainingError(
             f"training needs clips of at least {settings.frames} frames; "
             + (f"the shortest has {min(short)}." if short else "there are none.")
         )

@@ -17,7 +17,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from kpirl_ocp.episodes import ArmTrack
-from kpirl_ocp.errors import EpisodeError, ProblemError
+from kpirl_ocp.errors import TrainingError
 from kpirl_ocp.perception.dynamics.model import Activation, DynamicsModel
 from kpirl_ocp.types import Array
 
@@ -44,7 +44,7 @@ class DynamicsSettings:
     def __post_init__(self) -> None:
         for name in ("steps", "epochs", "batch", "patience"):
             if getattr(self, name) < 1:
-                raise ProblemError(f"{name} must be at least 1, got {getattr(self, name)}.")
+                raise TrainingError(f"{name} must be at least 1, got {getattr(self, name)}.")
 
 
 @dataclass(frozen=True)
@@ -58,14 +58,14 @@ class Stretches:
 
     @classmethod
     def of(cls, tracks: Sequence[ArmTrack], steps: int) -> Stretches:
-        """All stretches of `steps` steps. Raises EpisodeError if no trajectory is that long."""
+        """All stretches of `steps` steps. Raises TrainingError if no trajectory is that long."""
         parts: list[tuple[Array, ...]] = []
         for track in tracks:
             z = track.keypoints[..., :2].reshape(len(track.times), -1)
             for t in range(len(track.actions) - steps + 1):
                 parts.append((z[t : t + steps + 1], track.joints[t], track.velocities[t], track.actions[t : t + steps]))
         if not parts:
-            raise EpisodeError(f"no trajectory has {steps} steps.")
+            raise TrainingError(f"no trajectory has {steps} steps.")
         return cls(*(torch.from_numpy(np.array(column)).float() for column in zip(*parts, strict=True)))
 
     def __len__(self) -> int:
@@ -84,10 +84,10 @@ def train_dynamics(
 ) -> tuple[DynamicsModel, dict[str, Array]]:
     """Train on trajectories; gives the model of the best epoch and the curves "train" and "validation" (NMSE).
 
-    Raises EpisodeError for fewer than two trajectories, ProblemError when the loss becomes NaN.
+    Raises TrainingError for fewer than two trajectories, TrainingError when the loss becomes NaN.
     """
     if len(tracks) < 2:
-        raise EpisodeError(f"training needs at least two trajectories, got {len(tracks)}.")
+        raise TrainingError(f"training needs at least two trajectories, got {len(tracks)}.")
     torch.manual_seed(seed)
     order = np.random.default_rng(seed).permutation(len(tracks))
     held = max(1, round(_VALIDATION * len(tracks)))
@@ -100,7 +100,7 @@ def train_dynamics(
     variance = train.z[:, 1:].flatten(0, 1).var(0)
     still = [f"{'xy'[i % 2]} of keypoint {i // 2}" for i in np.flatnonzero(variance.numpy() == 0)]
     if still:
-        raise EpisodeError(f"{', '.join(still)} never changes in the training data: look at the detector.")
+        raise TrainingError(f"{', '.join(still)} never changes in the training data: look at the detector.")
     optimiser = torch.optim.AdamW(model.parameters(), settings.step_size, weight_decay=settings.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.epochs)
     curves: dict[str, list[float]] = {"train": [], "validation": []}
@@ -111,7 +111,7 @@ def train_dynamics(
             with torch.inference_mode():
                 curves["validation"].append(float(_nmse(model, validation, variance)))
             if not np.isfinite([curves["train"][-1], curves["validation"][-1]]).all():
-                raise ProblemError("the loss became NaN or infinite: use a smaller step size.")
+                raise TrainingError("the loss became NaN or infinite: use a smaller step size.")
             schedule.step()
             bar.update()
             bar.set_postfix(validation=f"{curves['validation'][-1]:.2g}")

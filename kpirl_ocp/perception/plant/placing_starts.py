@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import SceneError
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant
 from kpirl_ocp.perception.scene.posture import UPRIGHT, carry
@@ -45,7 +45,7 @@ def placing_starts(detector: KeypointDetector, places: Array, rng: np.random.Gen
         rng: draws the small offsets of the starts.
 
     Raises:
-        ProblemError: the arm reaches no place near a start.
+        SceneError: the arm reaches no place near a start.
     """
     with Scene(rate=RATE) as scene:
         end = scene.camera.in_plane(places[-1])
@@ -65,8 +65,8 @@ def _posture(scene: Scene, point: Array, rng: np.random.Generator) -> Array:
     for farther in np.arange(0.0, 0.3, 0.005):
         try:
             theta = carry(point[0] + farther, point[2], pitch)
-        except ProblemError:
+        except SceneError:
             continue
         if ((theta >= low) & (theta <= high)).all():
             return theta
-    raise ProblemError(f"the arm cannot hold the bottle at {point} m, nor farther along x.")
+    raise SceneError(f"the arm cannot hold the bottle at {point} m, nor farther along x.")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import SceneError
 from kpirl_ocp.motion import forward_then_down, minimum_jerk
 from kpirl_ocp.perception.scene.bodies import write_hand_with_bottle
 from kpirl_ocp.perception.scene.world import Frame, World
@@ -33,7 +33,7 @@ class HandScene(World):
         """The frame with the bottle, upright, at position (3,) [m]."""
         place = np.asarray(position, float)
         if place.shape != (3,) or not np.isfinite(place).all():
-            raise ProblemError(f"position must be three finite numbers [m], got {position!r}.")
+            raise SceneError(f"position must be three finite numbers [m], got {position!r}.")
         self._client.resetBasePositionAndOrientation(self._bottle, place.tolist(), (0.0, 0.0, 0.0, 1.0))
         return self._render(self._bottle, -1, place)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import SceneError
 from kpirl_ocp.types import Array
 
 UPRIGHT = np.pi / 2
@@ -22,14 +22,14 @@ _SHOULDER, _UPPER_ARM, _FOREARM, _HAND = 0.36, 0.42, 0.40, 0.196  # [m]
 def carry(x: float, z: float, pitch: float = UPRIGHT) -> Array:
     """Joint positions (7,) [rad] that hold the bottle at (x, 0, z) [m], elbow up.
 
-    Raises ProblemError if the arm is too short or the place too near.
+    Raises SceneError if the arm is too short or the place too near.
     """
     wrist = np.array([x, z - _SHOULDER]) - _HAND * np.array([np.sin(pitch), np.cos(pitch)])
     distance = np.hypot(*wrist)
     # Law of cosines for the angle between upper arm and forearm.
     bend = (distance**2 - _UPPER_ARM**2 - _FOREARM**2) / (2 * _UPPER_ARM * _FOREARM)
     if not abs(bend) <= 1:
-        raise ProblemError(f"the arm cannot hold the bottle at x = {x:g}, z = {z:g} m with pitch {pitch:g} rad.")
+        raise SceneError(f"the arm cannot hold the bottle at x = {x:g}, z = {z:g} m with pitch {pitch:g} rad.")
     elbow = np.arccos(bend)
     upper = np.arctan2(*wrist) - np.arctan2(_FOREARM * np.sin(elbow), _UPPER_ARM + _FOREARM * np.cos(elbow))
     return np.array([0.0, upper, 0.0, -elbow, 0.0, pitch - upper - elbow, 0.0])

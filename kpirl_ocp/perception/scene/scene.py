@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import SceneError
 from kpirl_ocp.perception.scene.bodies import BOTTLE, write_arm_with_bottle
 from kpirl_ocp.perception.scene.bullet import pybullet
 from kpirl_ocp.perception.scene.world import Frame, World
@@ -54,7 +54,7 @@ class Scene(World):
 
     def __post_init__(self) -> None:
         if self.rate < 1 or _PHYSICS_RATE % self.rate:
-            raise ProblemError(f"rate must divide the {_PHYSICS_RATE} Hz of the simulation, got {self.rate!r}.")
+            raise SceneError(f"rate must divide the {_PHYSICS_RATE} Hz of the simulation, got {self.rate!r}.")
 
     def __enter__(self) -> Scene:
         super().__enter__()
@@ -76,11 +76,11 @@ class Scene(World):
         return tuple(self._links)
 
     def reset(self, theta: ArrayLike) -> JointState:
-        """Put the arm at rest at theta (7,) [rad]. Raises ProblemError outside the joint limits."""
+        """Put the arm at rest at theta (7,) [rad]. Raises SceneError outside the joint limits."""
         positions = self._checked("theta", theta)
         lower, upper = self.joint_limits
         if ((positions < lower) | (positions > upper)).any():
-            raise ProblemError(f"theta must be within the joint limits {lower} .. {upper}, got {positions}.")
+            raise SceneError(f"theta must be within the joint limits {lower} .. {upper}, got {positions}.")
         for joint, position in zip(self._joints, positions, strict=True):
             self._client.resetJointState(self._arm, joint, position, 0.0)
         return self.measure()
@@ -110,9 +110,9 @@ class Scene(World):
         return JointState(np.array([state[0] for state in states]), np.array([state[1] for state in states]))
 
     def link_pose(self, link: str) -> tuple[Array, Array]:
-        """World rotation (3, 3) and position (3,) [m] of a link's frame. Raises ProblemError for an unknown link."""
+        """World rotation (3, 3) and position (3,) [m] of a link's frame. Raises SceneError for an unknown link."""
         if link not in self._links:
-            raise ProblemError(f"the scene's arm has no link {link!r}; its links are: {', '.join(self._links)}.")
+            raise SceneError(f"the scene's arm has no link {link!r}; its links are: {', '.join(self._links)}.")
         state = self._client.getLinkState(self._arm, self._links[link], computeForwardKinematics=True)
         rotation = self._client.getMatrixFromQuaternion(state[5])
         return np.array(rotation).reshape(3, 3), np.array(state[4])
@@ -124,5 +124,5 @@ class Scene(World):
     def _checked(self, name: str, values: ArrayLike) -> Array:
         array = np.asarray(values, float)
         if array.shape != (len(self._joints),) or not np.isfinite(array).all():
-            raise ProblemError(f"{name} must be {len(self._joints)} finite numbers [rad], got {values!r}.")
+            raise SceneError(f"{name} must be {len(self._joints)} finite numbers [rad], got {values!r}.")
         return array

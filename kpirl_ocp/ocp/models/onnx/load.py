@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from kpirl_ocp.errors import ModelError, ProblemError
+from kpirl_ocp.errors import DependencyError, ModelError, ProblemError
 from kpirl_ocp.ocp.models.graph_network import GraphNetwork
 from kpirl_ocp.ocp.models.mlp import MLP
 from kpirl_ocp.ocp.models.onnx.casadi_reader import graph_network
@@ -23,13 +23,14 @@ def load_onnx(path: str | Path) -> MLP | GraphNetwork:
     Numbers are computed in float64 from the weights in the file.
 
     Raises:
-        ModelError: the file cannot be read, `onnx` is not installed, or the graph holds an operator that neither this
-            package nor CasADi's reader knows; it names the operator.
+        DependencyError: `onnx` is not installed.
+        ModelError: the file cannot be read, or the graph holds an operator that neither this package nor CasADi's
+            reader knows; it names the operator.
     """
     try:
         onnx: Any = import_module("onnx")
     except ImportError as error:
-        raise ModelError("reading ONNX files needs the package onnx: pip install onnx.") from error
+        raise DependencyError("reading ONNX files needs the package onnx: pip install onnx.") from error
     try:
         model = onnx.load(str(path))
     except Exception as error:  # of onnx, protobuf or the file system
