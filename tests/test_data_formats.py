@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kpirl_ocp import Robot
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import EpisodeError, FileError
 from kpirl_ocp.irl.cases.tasks import demonstrate
 
 pytest.importorskip("cv2")
@@ -170,7 +170,7 @@ def test_own_demonstrations_survive_the_way_through_lerobot(tmp_path):
 def test_a_broken_data_set_is_refused_by_file(tmp_path, spoil, reason):
     write_lerobot(tmp_path, [take()], RATE)
     spoil(tmp_path)
-    with pytest.raises(EpisodeError, match=reason):
+    with pytest.raises(FileError, match=reason):
         read_lerobot(tmp_path)[0].frames(CAMERA)
 
 
