@@ -22,6 +22,7 @@ from kpirl_ocp.ocp.models.mlp import MLP
 from kpirl_ocp.ocp.models.onnx.load import load_onnx
 from kpirl_ocp.ocp.models.robot import Keypoint, Robot
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.sensitivity.sensitivity import sensitivity
 from kpirl_ocp.ocp.solvers.fatrop import Fatrop
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
@@ -65,4 +66,5 @@ __all__ = [
     "load_dynamics",
     "load_onnx",
     "network_ocp",
+    "sensitivity",
 ]

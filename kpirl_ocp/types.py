@@ -161,6 +161,7 @@ class Solution:
     """A trajectory with the evidence of how good it is.
 
     objective: value of the cost.
+    psi, context: (n_psi,), (n_c,) that it was solved for; s_0 is states[0].
     barrier: complementarity parameter tau of the problem that was solved; 0 for the problem itself.
     message: the backend's own word for how it ended.
     """
@@ -171,8 +172,14 @@ class Solution:
     residuals: KKTResiduals
     status: Status
     iterations: int
+    psi: Array
+    context: Array
     barrier: float = 0.0
     message: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("psi", "context"):  # copies: a caller may go on to change its arrays
+            object.__setattr__(self, name, np.array(getattr(self, name), float))
 
     @property
     def states(self) -> Array:

@@ -12,8 +12,7 @@ from problems import TABLE
 from kpirl_ocp import Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory, Unrolled
 from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
-from kpirl_ocp.ocp.sensitivity.implicit_function import Response
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance
+from kpirl_ocp.ocp.sensitivity.sensitivity import sensitivity
 from kpirl_ocp.ocp.solvers.sqp import SQP
 
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
@@ -101,9 +100,7 @@ def test_hypergradient_is_the_implicit_one(name, barrier, tolerance):
     problem, seen, rng = case.problem, case.demonstration, np.random.default_rng(1)
     plan = Riccati(barrier=barrier).solve(problem, seen.s0, case.psi, seen.context)
     by_states, by_actions = rng.normal(size=plan.states.shape), rng.normal(size=plan.actions.shape)
-    instance = Instance(problem, *problem.inputs(seen.s0, case.psi, seen.context), barrier)
-    slope = np.concatenate([by_states[1:].ravel(), by_actions.ravel()])
-    expected = Response.at(instance, plan).pull(slope, by_states[0])
+    expected = sensitivity(problem, plan).pull(by_states, by_actions)
     found, believed = ours.gradient(problem, seen.s0, case.psi, seen.context, plan, by_states, by_actions)
     assert believed
     for key in ("psi", "s0", "context"):

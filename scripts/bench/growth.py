@@ -20,7 +20,7 @@ def measure(preset: Preset) -> Part:
         solution = Riccati().solve(*arguments)
         iterations[horizon], status[horizon] = solution.iterations, solution.status
         calls[horizon, "solve"] = lambda arguments=arguments: Riccati().solve(*arguments)
-        calls[horizon, "gradient"] = lambda inputs=(problem, demonstration, psi, solution): differentiate(*inputs)
+        calls[horizon, "gradient"] = lambda inputs=(problem, demonstration, solution): differentiate(*inputs)
         calls[horizon, "gradient"]()  # builds and compiles
     timings = interleaved(calls, preset.budget, preset.most)
     numbers: Numbers = {

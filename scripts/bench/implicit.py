@@ -33,7 +33,7 @@ def _measure(data: NetworkCase, preset: Preset) -> Numbers:
     solution = solver.solve(problem, *arguments)
     calls = {
         SOLVE: lambda: solver.solve(problem, *arguments),
-        GRADIENT: lambda: differentiate(problem, demonstration, psi, solution),
+        GRADIENT: lambda: differentiate(problem, demonstration, solution),
         BOTH: lambda: method(problem, demonstration, psi),
         unrolling: lambda: unrolled(data.problem, demonstration, psi),
     }

@@ -1,4 +1,4 @@
-"""What every hypergradient returns: loss, gradient, and the evidence for the gradient.
+"""The interface of hypergradients: loss, gradient, and the evidence for the gradient.
 
 A hypergradient is the derivative dL/dpsi of the IRL loss at the trajectory that the inner solver plans for psi. The
 method is an object; calling it with a problem, a demonstration and psi gives a `HypergradientResult`.
@@ -6,38 +6,16 @@ method is an object; calling it with a problem, a demonstration and psi gives a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.errors import CertificateError, ProblemError
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
-from kpirl_ocp.types import Array, Demonstration, Solution
-
-Policy = Literal["raise", "flag"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Certificate:
-    """Evidence for one gradient.
-
-    solution: the inner solution that was differentiated.
-    failures: one sentence for every condition that does not hold; empty when the gradient is certified.
-    """
-
-    solution: Solution
-    failures: tuple[str, ...]
-
-    @property
-    def certified(self) -> bool:
-        """True if every condition holds."""
-        return not self.failures
-
-    def __str__(self) -> str:
-        return "certified" if self.certified else "NOT certified: " + " ".join(self.failures)
+from kpirl_ocp.ocp.sensitivity.certificate import Certificate, require
+from kpirl_ocp.types import Array, Demonstration
 
 
 class HypergradientResult(NamedTuple):
@@ -65,17 +43,8 @@ class Hypergradient(Protocol):
 
 def enforce(policy: str, result: HypergradientResult) -> HypergradientResult:
     """The result, or CertificateError if it is not certified and the policy is not "flag"."""
-    if not result.certificate.certified and policy != "flag":
-        raise CertificateError(
-            f"the gradient is {result.certificate} (policy='flag' returns it all the same.)", result.certificate
-        )
+    require(policy, result.certificate)
     return result
-
-
-def check_policy(policy: str, allowed: tuple[str, ...]) -> None:
-    """Raise ProblemError for a policy that is not among the allowed ones."""
-    if policy not in allowed:
-        raise ProblemError(f"policy must be one of {', '.join(allowed)}; got {policy!r}.")
 
 
 def seen(problem: OCP, demonstration: Demonstration) -> Array:

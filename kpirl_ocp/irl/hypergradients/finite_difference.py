@@ -17,18 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.certificate import (
-    Certificate,
-    HypergradientResult,
-    Policy,
-    check_policy,
-    enforce,
-    not_finite,
-    seen,
-)
+from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult, enforce, not_finite, seen
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, Solver
+from kpirl_ocp.ocp.sensitivity.certificate import Certificate, Policy, check_policy
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 from kpirl_ocp.types import Array, Demonstration, Solution
 

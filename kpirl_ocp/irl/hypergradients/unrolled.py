@@ -19,21 +19,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.certificate import (
-    Certificate,
-    HypergradientResult,
-    Policy,
-    check_policy,
-    enforce,
-    not_finite,
-    seen,
-)
+from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult, enforce, not_finite, seen
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_function
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
+from kpirl_ocp.ocp.sensitivity.certificate import Certificate, Policy, check_policy
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints, finish
 from kpirl_ocp.types import Array, Demonstration, Solution
 
@@ -145,14 +138,17 @@ def sweep(
     observed = np.concatenate([seen(problem, demonstration).T for demonstration in demonstrations])
     evaluate = call_function(_function(problem, solver, loss, last, checkpoint, len(inputs)))
     (outputs,) = evaluate(actions, starts, psis, contexts, observed)
-    return [_result(problem, solver, last, output) for output in outputs.reshape(len(inputs), -1)]
+    rows = zip(inputs, outputs.reshape(len(inputs), -1), strict=True)
+    return [_result(problem, solver, last, psi, context, output) for (_, psi, context), output in rows]
 
 
-def _result(problem: OCP, solver: GradientDescent, last: int, output: Array) -> HypergradientResult:
+def _result(
+    problem: OCP, solver: GradientDescent, last: int, psi: Array, context: Array, output: Array
+) -> HypergradientResult:
     """From one column of `unrolled_function`."""
     value, remainder, kink, initial = output[:4].tolist()
     gradient, point = output[4 : 4 + problem.n_parameters], output[4 + problem.n_parameters :]
-    solution = finish(problem, solver, initial, point)
+    solution = finish(problem, solver, psi, context, initial, point)
     certificate = UnrolledCertificate(
         solution=solution,
         failures=tuple(_failures(solution, value, gradient, remainder, kink, solver.steps - last)),

@@ -20,8 +20,7 @@ from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 from kpirl_ocp.irl.hypergradients.implicit import Implicit
 from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.sensitivity.implicit_function import Response
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance
+from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
 from kpirl_ocp.types import Array, Demonstration, Trajectory
 
 CONVERGED = Implicit()  # how the plan depends on psi, unless said otherwise
@@ -60,13 +59,11 @@ def plan_jacobian(problem: OCP, demonstration: Demonstration, psi: ArrayLike, me
 def _converged(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method: Implicit) -> PlanJacobian:
     certificate = method(problem, demonstration, psi).certificate
     solution = certificate.solution
-    s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
-    response = Response.at(Instance(problem, s0, psi, context, solution.barrier), solution)
-    directions = np.eye(len(psi))
-    pushed = [response.push(direction, np.zeros_like(s0), np.zeros_like(context)) for direction in directions]
+    function, fixed = ImplicitFunction.at(problem, solution), (np.zeros(problem.n_states), np.zeros(problem.n_context))
+    pushed = [function.push(ByParameters(direction, *fixed))[0] for direction in np.eye(problem.n_parameters)]
     slopes = observation_jacobians(problem, solution.states)  # (T, n_z, n_s)
     columns = [np.einsum("tzs,ts->tz", slopes, change.states[1:]).ravel() for change in pushed]
-    jacobian = np.reshape(columns, (len(psi), -1)).T
+    jacobian = np.reshape(columns, (problem.n_parameters, -1)).T
     return PlanJacobian(solution.trajectory, observed(problem, solution.states), jacobian, certificate.certified)
 
 

@@ -19,7 +19,7 @@ from kpirl_ocp.ocp.export.folder import FORMAT, dimensions, fingerprint
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.scope import constant_bounds, refuse_features
 from kpirl_ocp.ocp.problem.solver import Guess
-from kpirl_ocp.ocp.sensitivity.implicit_function import Gradients
+from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 
@@ -69,7 +69,7 @@ class ExportedSolver:
             None if result is None else ctypes.byref(result),
             ctypes.byref(found),
         )
-        return self._solution(found)
+        return self._solution(found, *problem.inputs(s0, psi, context)[1:])
 
     def gradient(
         self,
@@ -81,7 +81,7 @@ class ExportedSolver:
         by_states: ArrayLike,
         by_actions: ArrayLike,
         guess: Guess = None,
-    ) -> tuple[Gradients, bool]:
+    ) -> tuple[ByParameters, bool]:
         """Gradients of a function of the plan with these derivatives, and whether they are to be believed.
 
         by_states: (T+1, n_s). by_actions: (T, n_u). guess: what `solve` was called with; gradient descent needs it.
@@ -112,7 +112,7 @@ class ExportedSolver:
                 ("psi", "state", "context"), (problem.n_parameters, problem.n_states, problem.n_context), strict=True
             )
         )
-        return Gradients(by_psi, by_start, by_context, np.zeros(0), found.residual), status == 0
+        return ByParameters(by_psi, by_start, by_context), status == 0
 
     def shift(self, problem: OCP, solution: Solution, psi: ArrayLike = ()) -> Solution:
         """The guess for the next period: all one step earlier, the last action again, the last multipliers kept."""
@@ -197,7 +197,7 @@ class ExportedSolver:
             for name, shape in self.structures.shapes.items()
         ]
 
-    def _solution(self, found: Any) -> Solution:
+    def _solution(self, found: Any, psi: Array, context: Array) -> Solution:
         arrays = self._arrays(found)
         residuals = KKTResiduals(
             stationarity=found.stationarity,
@@ -215,6 +215,8 @@ class ExportedSolver:
             residuals=residuals,
             status=status_of(found.status),
             iterations=found.iterations,
+            psi=psi,
+            context=context,
             barrier=current.barrier,
             message=f"{self._prefix}: {self._function('message')(found.status).decode()}",
         )

@@ -75,6 +75,8 @@ class Resident:
             residuals=KKTResiduals(found.stationarity, found.feasibility, found.complementarity, 0.0, found.scale),
             status=status_of(status),
             iterations=found.iterations,
+            psi=psi,
+            context=context,
             barrier=solver.barrier,
         )
 

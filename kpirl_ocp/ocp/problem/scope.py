@@ -22,11 +22,11 @@ def features(problem: OCP) -> dict[str, bool]:
     }
 
 
-def refuse_features(problem: OCP, solver: str) -> None:
-    """Raise ProblemError, naming them, if the problem has any of `features`."""
+def refuse_features(problem: OCP, solver: str, alternative: str = "Ipopt()") -> None:
+    """Raise ProblemError, naming them and an alternative, if the problem has any of `features`."""
     found = [name for name, present in features(problem).items() if present]
     if found:
-        raise ProblemError(f"{solver} does not handle {', '.join(found)}: use Ipopt().")
+        raise ProblemError(f"{solver} does not handle {', '.join(found)}: use {alternative}.")
 
 
 def constant_bounds(problem: OCP) -> list[Array]:

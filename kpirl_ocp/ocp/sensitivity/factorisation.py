@@ -108,24 +108,29 @@ class Factorisation:
     def adjoint(self, slope: Array) -> tuple[PrimalDual, float]:
         """The solution for (slope, 0, 0), and its relative residual."""
         right = slope, np.zeros(len(self._system.defects)), np.zeros(len(self._system.active))
-        return self._refined(right, _EXACT, self._adjoint if slope is self._slope else [])
+        return self._refined(right, _norm(slope), _EXACT, self._adjoint if slope is self._slope else [])
 
     def newton_step(self) -> PrimalDual:
         """The Newton step on the KKT conditions; it need not be exact to tell how far the solution is."""
-        return self._refined(self._system.newton, _FOLLOWED, self._newton)[0]
+        right = self._system.newton
+        return self._refined(right, _norm(right[0]), _FOLLOWED, self._newton)[0]
 
     def solve(self, right: Array, defects: Array, values: Array) -> tuple[PrimalDual, float]:
         """w, lambda and mu for (r_w, r_d, r_c), and the relative residual; r_c and mu (n_ineq,), zero where not active.
 
         A singular reduced Hessian divides by zero: infinities and NaN come out, and `curvature` says why.
         """
-        return self._refined((right, defects, values), _EXACT, [])
+        size = max(_norm(right), float(self._scale) * max(_norm(defects), _norm(values)))
+        return self._refined((right, defects, values), size, _EXACT, [])
 
     def _refined(
-        self, right: tuple[Array, Array, Array], enough: float, begun: list[list[Array]]
+        self, right: tuple[Array, Array, Array], size: float, enough: float, begun: list[list[Array]]
     ) -> tuple[PrimalDual, float]:
-        """Steps of refinement, of which some were done, until the residual is small enough or meets the rounding."""
-        size, least = _norm(right[0]), self._least(right[0])
+        """Steps of refinement, of which some were done, until the residual is small enough or meets the rounding.
+
+        size: that residuals of the first equation are relative to.
+        """
+        least = self._least(size)
         result: list[Array] = []
         best = np.inf
         for *arrays, norms in self._steps(right, begun):
@@ -157,7 +162,8 @@ class Factorisation:
         instance = self._system.instance
         at = *instance.arguments(nearby), np.array([instance.barrier])
         step = self._call(compiled.follow).fix(*self._matrices, *at, *self._rows, right)
-        size, least = _norm(right), self._least(right)
+        size = _norm(right)
+        least = self._least(size)
         whole = max(_norm(adjoint.w), _NOTHING * least)
         triple = [adjoint.w, adjoint.costates, adjoint.forces]
         for _ in range(_REFINEMENTS // 2):
@@ -168,9 +174,9 @@ class Factorisation:
                 return change / whole if change else 0.0
         return np.inf
 
-    def _least(self, right: Array) -> float:
+    def _least(self, size: float) -> float:
         """|r_w| over the largest |eigenvalue| of the condensed Hessian: the least that an unconstrained w can be."""
-        return _norm(right) / (self._scale or 1.0)
+        return size / (self._scale or 1.0)
 
     def _row_lengths(self) -> Array:
         """Length (n_ineq,) of every row as a function of the actions, from the covariance of w under white u."""
@@ -196,7 +202,7 @@ def _known(found: list[Array], again: Callable[[Array], list[Array]], negative: 
 def _error(norms: Array, size: float, least: float) -> float:
     """The largest of the three residuals, relative to the right-hand side or to what w would be without rows.
 
-    norms: of the residuals and of w. size: of the right-hand side r_w. least: of w, see `Factorisation._least`.
+    norms: of the residuals and of w. size: of the right-hand side. least: of w, see `Factorisation._least`.
     """
     off, gap, violation, length = norms[:4].tolist()
     scale = max(length, least) or 1.0

@@ -20,6 +20,7 @@ from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.conditions.nlp import NLP, Inequalities, bounded_entries, pack, transcribe
 from kpirl_ocp.ocp.conditions.stage_derivatives import by_time, second
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.scope import refuse_features
 from kpirl_ocp.ocp.problem.solver import StageDerivatives
 from kpirl_ocp.types import Array, Mask, Solution
 
@@ -33,6 +34,16 @@ class Instance:
     psi: Array
     context: Array
     barrier: float = 0.0
+
+    @classmethod
+    def of(cls, problem: OCP, solution: Solution) -> Instance:
+        """The one that was solved.
+
+        Raises ProblemError when a length does not fit the problem, and for features beyond bounds and path constraints.
+        """
+        refuse_features(problem, "the derivative of a solution", "FiniteDifference(Ipopt())")
+        s0, psi, context = problem.inputs(solution.states[0], solution.psi, solution.context)
+        return cls(problem, s0, psi, context, solution.barrier)
 
     @property
     def nlp(self) -> NLP:

@@ -1,4 +1,4 @@
-"""Can the derivatives at a computed solution be believed? Four questions, answered by evaluating nearby.
+"""Tests of the derivatives at a computed solution, by evaluations nearby.
 
 A solution is only known to the solver's tolerance, so the active set was guessed, and second derivatives were taken
 beside the true solution. One Newton step on the KKT conditions leads (quadratically) closer to it:
@@ -13,7 +13,7 @@ beside the true solution. One Newton step on the KKT conditions leads (quadratic
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,49 +27,40 @@ _KNOWN = 1e-9  # relative accuracy to which no solution is known better
 _DIFFERENCE = 1e-6  # step of the difference quotient, relative to w: truncation about 1e-12, rounding about 1e-10
 
 
-@dataclass(frozen=True)
-class Probe:
-    """What was found nearby.
+class Nearby(NamedTuple):
+    """The neighbourhood that a Newton step leads to.
 
-    step: length of the Newton step, relative to 1 + |w|; the error of the solution.
-    margin: smallest multiplier of an active and slack of an inactive row after the Newton step, negative if the active
-        set was wrong; infinite without inequalities, or when they are smoothed.
-    change: relative change of the adjoint after the step.
-    kink: relative disagreement of the differenced gradient with the Hessian along the adjoint.
+    point: after the step, with w moved a little further along the softest direction.
+    step: length of the step, relative to 1 + |w|; the error of the solution.
+    margin: smallest multiplier of an active and slack of an inactive row after the step, negative if the active set
+        was wrong; infinite without inequalities, or when they are smoothed.
     """
 
+    point: PrimalDual
     step: float
     margin: float
-    change: float
-    kink: float
 
 
-def probe(system: KKTSystem, factors: Factorisation, right: Array, adjoint: PrimalDual) -> Probe:
-    """Probe the surroundings of a solution whose adjoint for the right-hand side `right` (n_w,) is given."""
-    refined, margin = _newton(system, factors)
-    size = 1 + float(np.abs(system.point.w).max())
-    step = float(np.abs(refined.w - system.point.w).max()) / size
-    nearby = PrimalDual(refined.w + _KNOWN * size * factors.softest, refined.costates, refined.forces)
-    return Probe(step, margin, factors.follow(nearby, right, adjoint), _kink(system, adjoint.w))
-
-
-def _newton(system: KKTSystem, factors: Factorisation) -> tuple[PrimalDual, float]:
-    """One Newton step on the KKT conditions with this active set, and the smallest margin after it."""
+def newton_step(system: KKTSystem, factors: Factorisation) -> Nearby:
+    """One Newton step on the KKT conditions with this active set."""
     point, move = system.point, factors.newton_step()
     forces, slack = system.pushing + move.forces, system.slack - system.times_rows(move.w)
     margins = np.where(system.active, forces, slack)[~system.equal]
     margin = np.inf if system.instance.barrier > 0 else float(np.min(margins, initial=np.inf))
-    return PrimalDual(point.w + move.w, point.costates + move.costates, forces), margin
+    size = 1 + float(np.abs(point.w).max())
+    w = point.w + move.w
+    nearby = PrimalDual(w + _KNOWN * size * factors.softest, point.costates + move.costates, forces)
+    return Nearby(nearby, float(np.abs(w - point.w).max()) / size, margin)
 
 
-def _kink(system: KKTSystem, adjoint: Array) -> float:
-    """Central difference of the Lagrangian's gradient along the adjoint, against the Hessian."""
-    size = np.abs(adjoint).max(initial=0.0)
+def kink_along(system: KKTSystem, direction: Array) -> float:
+    """Relative disagreement of the Lagrangian's gradient, differenced along a direction (n_w,), with the Hessian."""
+    size = np.abs(direction).max(initial=0.0)
     if size == 0:
         return 0.0
     instance, point = system.instance, system.point
     step = _DIFFERENCE * (1 + np.abs(point.w).max()) / size
     at = *instance.arguments(point), system.H, system.H_last
-    ((whole, part),) = call(instance.problem, kink)(*at, adjoint, step)
+    ((whole, part),) = call(instance.problem, kink)(*at, direction, step)
     ratio = float(part / whole) if whole != 0 else 0.0
     return ratio if np.isfinite(ratio) else np.inf

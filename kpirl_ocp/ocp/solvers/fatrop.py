@@ -100,6 +100,8 @@ class Fatrop:
             residuals=residuals,
             status=status,
             iterations=int(str(stats.get("iter_count", 0))),
+            psi=psi,
+            context=context,
             message=f"Fatrop: {word}",
         )
 

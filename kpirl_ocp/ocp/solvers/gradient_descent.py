@@ -52,7 +52,7 @@ class GradientDescent:
         start, psi, context = problem.inputs(s0, psi, context)
         check_constraints(problem, self.project)
         output = np.array(_descent(problem, self)(guess_actions(problem, guess).T, start, psi, context)).ravel()
-        return finish(problem, self, float(output[0]), output[1:])
+        return finish(problem, self, psi, context, float(output[0]), output[1:])
 
 
 def check_constraints(problem: OCP, project: bool) -> None:
@@ -160,7 +160,9 @@ def _descent(problem: OCP, solver: GradientDescent) -> ca.Function:
     return compiled(ca.Function("descent", [u, s0, psi, context], [output]))
 
 
-def finish(problem: OCP, solver: GradientDescent, initial_cost: float, point: Array) -> Solution:
+def finish(
+    problem: OCP, solver: GradientDescent, psi: Array, context: Array, initial_cost: float, point: Array
+) -> Solution:
     """The audited solution from the cost of the guess and the output of `terminal_point`."""
     steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
     lengths = ((steps + 1) * n_s, steps * n_u, steps * n_u, steps * n_s)
@@ -179,7 +181,7 @@ def finish(problem: OCP, solver: GradientDescent, initial_cost: float, point: Ar
         path=np.zeros((steps, 0)),
     )
     status = _status(trajectory, initial_cost, objective, residuals.worst, solver.tolerance)
-    return Solution(trajectory, multipliers, objective, residuals, status, solver.steps)
+    return Solution(trajectory, multipliers, objective, residuals, status, solver.steps, psi, context)
 
 
 def _bound_multipliers(problem: OCP, actions: Array, slope: Array) -> Array:

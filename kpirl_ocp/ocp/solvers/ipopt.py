@@ -94,6 +94,8 @@ class Ipopt:
             residuals=audit(problem, psi, context, trajectory, multipliers, self.barrier),
             status=_STATUS.get(word, Status.FAILED),
             iterations=min(max(int(str(stats["iter_count"])), 0), self.max_iterations),  # unset when it never started
+            psi=psi,
+            context=context,
             barrier=self.barrier,
             message=f"Ipopt: {word}",
         )

@@ -248,5 +248,7 @@ class _Run:
             residuals=residuals,
             status=status,
             iterations=self.iterations,
+            psi=self.newton.psi,
+            context=self.newton.context,
             barrier=self.solver.barrier,
         )

@@ -69,6 +69,8 @@ class SQP:
             residuals=residuals,
             status=self._status(residuals.worst, iterations, w),
             iterations=iterations,
+            psi=psi,
+            context=context,
             message=f"sqpmethod: {stats['return_status']}",
         )
 

@@ -1,4 +1,4 @@
-"""How solutions respond to psi, s_0 and the context: against one dense KKT matrix, and against each other."""
+"""Derivatives of solutions by psi, s_0 and the context: against one dense KKT matrix, and against each other."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -11,8 +11,8 @@ from problems import TABLE, network, swing_up
 from kpirl_ocp import Ipopt, Riccati
 from kpirl_ocp.ocp.conditions.nlp import pack
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
-from kpirl_ocp.ocp.sensitivity.implicit_function import Response
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, PrimalDual, linearise
+from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
+from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, linearise
 
 CASES = TABLE | {
     "swing-up, 45 steps": lambda: swing_up(45),
@@ -30,13 +30,12 @@ def long_network():
 
 @lru_cache
 def solved(name, barrier=0.0):
-    """The arguments of a solve, the solution, its response and the dense derivative."""
+    """The arguments of a solve, the solution, its derivative and the dense one."""
     case = CASES[name]()
     given = (case.problem, case.demonstration.s0, case.psi, case.demonstration.context)
     solver = Riccati(tolerance=1e-11)
     solution = (solver.with_barrier(barrier) if barrier else solver).solve(*given).raise_if_failed()
-    response = Response.at(Instance(*given, barrier), solution)
-    return given, solution, response, derivative(*given, solution)
+    return given, solution, ImplicitFunction.at(given[0], solution), derivative(*given, solution)
 
 
 ROWS = [(name, 0.0) for name in CASES] + list(SMOOTHED.items())
@@ -44,44 +43,44 @@ ROWS = [(name, 0.0) for name in CASES] + list(SMOOTHED.items())
 
 @pytest.mark.parametrize(("name", "barrier"), ROWS)
 def test_gradients_equal_those_of_the_dense_kkt_matrix(name, barrier):
-    (problem, *_), solution, response, dense = solved(name, barrier)
+    (problem, *_), solution, function, dense = solved(name, barrier)
     slope = np.random.default_rng(0).normal(size=len(pack(solution.trajectory)))
-    found = response.pull(slope)
+    adjoint, residual = function.factors.adjoint(slope)
+    found = function.pull(adjoint)
     expected = slope @ dense
-    gradients = np.concatenate([found.psi, found.s0, found.context])
     assert len(found.psi) == problem.n_parameters
-    np.testing.assert_allclose(gradients, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
-    assert found.residual < 1e-10
+    np.testing.assert_allclose(np.concatenate(found), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+    assert residual < 1e-10
 
 
 @pytest.mark.parametrize(("name", "barrier"), ROWS)
 def test_changes_of_the_trajectory_equal_those_of_the_dense_kkt_matrix(name, barrier):
-    (problem, s0, psi, context), _, response, dense = solved(name, barrier)
-    parts = [np.random.default_rng(1).normal(size=len(x)) for x in (psi, s0, context)]
-    found = response.push(*parts)
+    (problem, s0, psi, context), _, function, dense = solved(name, barrier)
+    parts = ByParameters(*(np.random.default_rng(1).normal(size=len(x)) for x in (psi, s0, context)))
+    found, residual = function.push(parts)
     expected = dense @ np.concatenate(parts)
     np.testing.assert_allclose(pack(found), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
-    np.testing.assert_array_equal(found.states[0], parts[1])
+    np.testing.assert_array_equal(found.states[0], parts.s0)
+    assert residual < 1e-10
     assert found.actions.shape == (problem.horizon, problem.n_actions)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_both_products_are_adjoint(name):
-    (_, s0, psi, context), solution, response, _ = solved(name)
+    (_, s0, psi, context), solution, function, _ = solved(name)
     rng = np.random.default_rng(2)
     slope = rng.normal(size=len(pack(solution.trajectory)))
-    parts = [rng.normal(size=len(x)) for x in (psi, s0, context)]
-    pulled = response.pull(slope)
-    one = slope @ pack(response.push(*parts))
-    other = np.concatenate([pulled.psi, pulled.s0, pulled.context]) @ np.concatenate(parts)
+    parts = ByParameters(*(rng.normal(size=len(x)) for x in (psi, s0, context)))
+    one = slope @ pack(function.push(parts)[0])
+    other = np.concatenate(function.pull(function.factors.adjoint(slope)[0])) @ np.concatenate(parts)
     np.testing.assert_allclose(one, other, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["integrator", "iiwa at a limit", "tanh network"])
-def test_response_to_the_initial_state_equals_differences_of_solutions(name):
-    (problem, s0, psi, context), solution, response, _ = solved(name)
+def test_derivative_by_the_initial_state_equals_differences_of_solutions(name):
+    (problem, s0, psi, context), solution, function, _ = solved(name)
     direction = np.random.default_rng(3).normal(size=len(s0))
-    found = response.push(np.zeros(len(psi)), direction, np.zeros(len(context)))
+    found, _ = function.push(ByParameters(np.zeros(len(psi)), direction, np.zeros(len(context))))
     errors = []
     for h in (1e-3, 1e-4, 1e-5):
         ends = [
@@ -93,15 +92,9 @@ def test_response_to_the_initial_state_equals_differences_of_solutions(name):
     assert min(errors) < 1e-6
 
 
-def test_gradient_by_the_initial_state_includes_what_the_function_says_of_it_directly():
-    (_, s0, _, _), solution, response, _ = solved("integrator")
-    slope, direct = np.ones(len(pack(solution.trajectory))), np.arange(1.0, len(s0) + 1)
-    np.testing.assert_allclose(response.pull(slope, direct).s0, response.pull(slope).s0 + direct, rtol=1e-15)
-
-
 def test_curvature_and_qualification_equal_their_dense_definitions():
-    _, solution, response, _ = solved("tanh network")
-    system, factors = response.system, response.factors
+    _, solution, function, _ = solved("tanh network")
+    system, factors = function.system, function.factors
     n, size = len(system.defects), len(pack(solution.trajectory))
     columns = np.eye(size)
     H = np.array([system.times_hessian(column) for column in columns])
@@ -122,17 +115,17 @@ def test_curvature_and_qualification_equal_their_dense_definitions():
     ("name", "barrier"), [("integrator", 0.0), ("iiwa at a limit", 0.0), ("tanh network", 0.0), *SMOOTHED.items()]
 )
 def test_change_of_the_adjoint_nearby_is_that_between_two_linearisations(name, barrier):
-    _, _, response, _ = solved(name, barrier)
-    system, rng = response.system, np.random.default_rng(4)
+    _, _, function, _ = solved(name, barrier)
+    system, rng = function.system, np.random.default_rng(4)
     slope = rng.normal(size=len(system.point.w))
-    adjoint, _ = response.factors.adjoint(slope)
+    adjoint, _ = function.factors.adjoint(slope)
     point = system.point
     nearby = PrimalDual(
         point.w + 1e-6 * rng.normal(size=point.w.shape),
         point.costates + 1e-4 * rng.normal(size=point.costates.shape),
         point.forces * (1 + 1e-4 * rng.normal(size=point.forces.shape)),
     )
-    found = response.factors.follow(nearby, slope, adjoint)
+    found = function.factors.follow(nearby, slope, adjoint)
     moved, _ = Factorisation(linearise(system.instance, nearby, system.active)).adjoint(slope)
     expected = np.linalg.norm(moved.w - adjoint.w) / np.linalg.norm(adjoint.w)
     np.testing.assert_allclose(found, expected, rtol=1e-2, atol=1e-8)
@@ -140,21 +133,21 @@ def test_change_of_the_adjoint_nearby_is_that_between_two_linearisations(name, b
 
 @pytest.mark.parametrize("name", ["swing-up, 45 steps", "tanh network"])
 def test_adjoint_is_not_found_where_these_factors_are_of_no_use(name):
-    _, _, response, _ = solved(name)
-    point, slope = response.system.point, np.ones(len(response.system.point.w))
+    _, _, function, _ = solved(name)
+    point, slope = function.system.point, np.ones(len(function.system.point.w))
     far = PrimalDual(point.w, point.costates * -1e4, point.forces)  # another Hessian
-    assert response.factors.follow(far, slope, response.factors.adjoint(slope)[0]) == np.inf
+    assert function.factors.follow(far, slope, function.factors.adjoint(slope)[0]) == np.inf
 
 
 @pytest.mark.parametrize("name", ["integrator", "iiwa at a limit", "tanh network"])
 def test_what_was_begun_with_the_factors_ends_where_it_would_otherwise(name):
-    _, _, response, _ = solved(name)
-    system, slope = response.system, np.random.default_rng(5).normal(size=len(response.system.point.w))
+    _, _, function, _ = solved(name)
+    system, slope = function.system, np.random.default_rng(5).normal(size=len(function.system.point.w))
     together = Factorisation(system, slope)
-    (one, residual), (other, _) = together.adjoint(slope), response.factors.adjoint(slope)
+    (one, residual), (other, _) = together.adjoint(slope), function.factors.adjoint(slope)
     assert residual < 1e-10
     np.testing.assert_allclose(one.w, other.w, rtol=0, atol=1e-10 * np.abs(other.w).max())
     another = -slope  # one that was not begun
     np.testing.assert_allclose(together.adjoint(another)[0].w, -one.w, rtol=0, atol=1e-10 * np.abs(other.w).max())
-    steps = together.newton_step(), response.factors.newton_step()
+    steps = together.newton_step(), function.factors.newton_step()
     np.testing.assert_allclose(steps[0].w, steps[1].w, rtol=0, atol=1e-10)

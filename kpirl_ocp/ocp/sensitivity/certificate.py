@@ -1,0 +1,164 @@
+"""Evidence for a derivative of a solution: the measured quantities, their bounds, and a sentence for each that fails.
+
+A derivative exists where the implicit function theorem holds: at a KKT point with linearly independent active
+constraints (LICQ), strict complementarity and a positive reduced Hessian. All of it is measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from kpirl_ocp.errors import CertificateError, ProblemError
+from kpirl_ocp.types import Mask, Solution, Status
+
+Policy = Literal["raise", "flag"]
+
+# Every bound sits well above what rounding and a solver tolerance of 1e-10 leave behind, and well below what a healthy
+# problem shows.
+KKT_RESIDUAL = 1e-6
+CURVATURE = 1e-8
+QUALIFICATION = 1e-5
+STEP = 1e-5
+MARGIN = 1e-7
+CHANGE = 1e-4
+KINK = 1e-3
+LINEAR_RESIDUAL = 1e-8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """Evidence for one gradient.
+
+    solution: the inner solution that was differentiated.
+    failures: one sentence for every condition that does not hold; empty when the gradient is certified.
+    """
+
+    solution: Solution
+    failures: tuple[str, ...]
+
+    @property
+    def certified(self) -> bool:
+        """True if every condition holds."""
+        return not self.failures
+
+    def __str__(self) -> str:
+        return "certified" if self.certified else "NOT certified: " + " ".join(self.failures)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensitivityCertificate(Certificate):
+    """Evidence for a derivative of the solution by the implicit function theorem.
+
+    kkt_residual: of the solution, relative (`KKTResiduals.worst`).
+    curvature: smallest eigenvalue of the reduced Hessian over the largest |eigenvalue| of the condensed Hessian; the
+        second-order condition asks it to be positive. Its sign is exact, its size an estimate from above. Infinite when
+        the active constraints leave no freedom.
+    qualification: smallest singular value of the normalised active Jacobian (LICQ); infinite when nothing is active.
+    step: length of a Newton step on the KKT conditions with this active set, relative: the error of the solution.
+    margin: smallest multiplier of an active and slack of an inactive row after that step (strict complementarity);
+        infinite without inequalities.
+    change: relative change under that step of the adjoint; for a tangent, of the adjoint of a function whose slope it
+        is. Is the solution close enough to differentiate?
+    kink: relative disagreement of second derivatives, along the adjoint or the tangent, with differences of the
+        gradient: is the problem smooth here?
+    linear_residual: of the adjoint or tangent system, relative.
+    active: (n_ineq,) bool; finite lower bounds of w, finite upper bounds of w, then path constraints stage by stage.
+    barrier: tau; above zero the derivative is that of the smoothed problem.
+    """
+
+    kkt_residual: float
+    curvature: float
+    qualification: float
+    step: float
+    margin: float
+    change: float
+    kink: float
+    linear_residual: float
+    active: Mask
+    barrier: float
+
+
+def undefined(solution: Solution, active: Mask) -> SensitivityCertificate:
+    """The certificate where derivatives are NaN or infinite."""
+    names = ("curvature", "qualification", "step", "margin", "change", "kink", "linear_residual")
+    return SensitivityCertificate(
+        solution=solution,
+        failures=(
+            "A derivative at the solution is NaN or infinite: look at its status, and at dynamics and costs there.",
+            *([] if solution.status is Status.CONVERGED else [_not_converged(solution)]),
+        ),
+        kkt_residual=solution.residuals.worst,
+        active=active,
+        barrier=solution.barrier,
+        **dict.fromkeys(names, np.nan),
+    )
+
+
+def certified(**evidence: Any) -> SensitivityCertificate:
+    """The certificate of this evidence (the fields but `failures`), with a sentence for every failure."""
+    found = SensitivityCertificate(**evidence, failures=())
+    return replace(found, failures=tuple(_failures(found)))
+
+
+def _failures(found: SensitivityCertificate) -> list[str]:
+    """A sentence for every condition that does not hold; comparisons are written so that NaN fails."""
+    conditions = (
+        (found.solution.status is Status.CONVERGED, _not_converged(found.solution)),
+        (
+            found.kkt_residual <= KKT_RESIDUAL,
+            f"The KKT residual is {found.kkt_residual:.1e}, above {KKT_RESIDUAL:.0e}: solve to a tighter tolerance.",
+        ),
+        (
+            found.curvature >= CURVATURE,
+            f"The reduced Hessian has relative eigenvalue {found.curvature:.1e}, below {CURVATURE:.0e}: this is no "
+            "strict minimum; add effort weight, or start elsewhere.",
+        ),
+        (
+            found.qualification >= QUALIFICATION,
+            f"Active constraints depend on each other (singular value {found.qualification:.1e}): remove one.",
+        ),
+        (
+            found.step <= STEP,
+            f"A Newton step still moves the solution by {found.step:.1e}: solve to a tighter tolerance, or scale the "
+            "cost up.",
+        ),
+        (
+            found.margin >= MARGIN,
+            f"An inequality is weakly active, or its side is unclear (margin {found.margin:.1e}): the gradient may "
+            "differ on either side; use policy='smooth', or a solver with_barrier(tau).",
+        ),
+        (
+            found.change <= CHANGE,
+            f"A Newton step changes the adjoint by {found.change:.1e} of itself: the solution is too far from exact, "
+            "or about to jump; solve to a tighter tolerance, rescale the cost, or add effort weight.",
+        ),
+        (
+            found.kink <= KINK,
+            f"Second derivatives disagree with differences by {found.kink:.1e}: the solution sits on a kink; use a "
+            "smooth cost and dynamics (softplus or tanh for ReLU).",
+        ),
+        (
+            found.linear_residual <= LINEAR_RESIDUAL,
+            f"The KKT system was solved to {found.linear_residual:.1e} only: it is close to singular.",
+        ),
+    )
+    return [text for holds, text in conditions if not holds]
+
+
+def check_policy(policy: str, allowed: tuple[str, ...]) -> None:
+    """Raise ProblemError for a policy that is not among the allowed ones."""
+    if policy not in allowed:
+        raise ProblemError(f"policy must be one of {', '.join(allowed)}; got {policy!r}.")
+
+
+def require(policy: str, certificate: Certificate) -> None:
+    """Raise CertificateError if a gradient is not certified and the policy is not "flag"."""
+    if not certificate.certified and policy != "flag":
+        raise CertificateError(f"the gradient is {certificate} (policy='flag' returns it all the same.)", certificate)
+
+
+def _not_converged(solution: Solution) -> str:
+    return f"The solver did not converge: {solution.status.name}, {solution.status.value}"

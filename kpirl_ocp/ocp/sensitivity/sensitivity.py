@@ -1,0 +1,177 @@
+"""The derivative of a solution by what it was solved for: psi, the initial state s_0 and the context c.
+
+    at = sensitivity(problem, solution)
+    at.pull(by_states, by_actions)     dL/dpsi, dL/ds_0, dL/dc  of any function L(S, U) with these slopes
+    at.push(psi=dpsi)                  dS, dU                   when psi, s_0 and c move
+
+Both are products with dv/dp of `implicit_function`, one solve each however many parameters there are, and each comes
+with its certificate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.ocp.conditions.nlp import pack
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import StageDerivatives
+from kpirl_ocp.ocp.sensitivity.certificate import (
+    Policy,
+    SensitivityCertificate,
+    certified,
+    check_policy,
+    require,
+    undefined,
+)
+from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
+from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, PrimalDual, linearise, primal_dual
+from kpirl_ocp.ocp.sensitivity.nearby_tests import Nearby, kink_along, newton_step
+from kpirl_ocp.types import Array, Solution, Trajectory
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """Gradients of a function of the planned trajectory: psi (n_psi,), s0 (n_s,), context (n_c,)."""
+
+    psi: Array
+    s0: Array
+    context: Array
+    certificate: SensitivityCertificate
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """The change of a planned trajectory: states (T+1, n_s), actions (T, n_u)."""
+
+    states: Array
+    actions: Array
+    certificate: SensitivityCertificate
+
+
+def sensitivity(
+    problem: OCP, solution: Solution, policy: Policy = "raise", derivatives: StageDerivatives | None = None
+) -> Sensitivity:
+    """Linearise the KKT conditions at a solution that any solver found for this problem.
+
+    A solution of the problem smoothed with a barrier has the derivative of that problem.
+
+    Args:
+        problem: that was solved.
+        solution: of it; psi, context and s_0 = states[0] are those that it was solved for.
+        policy: what to do with a derivative that is not certified: "raise" CertificateError, or "flag" it in its
+            certificate.
+        derivatives: at the solution, where the solver ended with them (`solve_and_linearise`).
+
+    Raises:
+        ProblemError: shapes that do not fit the problem, or another policy.
+    """
+    return Sensitivity(problem, solution, policy, derivatives)
+
+
+class Sensitivity:
+    """Products with the derivative of a solution, each with its certificate; see `sensitivity`."""
+
+    def __init__(
+        self, problem: OCP, solution: Solution, policy: Policy, derivatives: StageDerivatives | None = None
+    ) -> None:
+        check_policy(policy, ("raise", "flag"))
+        self.problem, self.solution, self.policy = problem, solution, policy
+        instance = Instance.of(problem, solution)
+        self._system = linearise(instance, primal_dual(instance, solution), derivatives=derivatives)
+        self._function: ImplicitFunction | None = None
+
+    def pull(self, by_states: ArrayLike, by_actions: ArrayLike) -> Gradients:
+        """Gradients of a function L of the trajectory.
+
+        Args:
+            by_states: dL/dS (T+1, n_s); row 0 is the slope by s_0 at fixed other states.
+            by_actions: dL/dU (T, n_u).
+
+        Raises:
+            CertificateError: under the policy "raise", when the gradients are not certified.
+            ProblemError: shapes that do not fit.
+        """
+        states, actions = self.problem.as_states(by_states), self.problem.as_actions(by_actions)
+        slope = pack(Trajectory(states, actions))
+        if not (self._system.finite and np.isfinite(states).all() and np.isfinite(actions).all()):
+            psi, s0, context = (np.full(size, np.nan) for size in self._sizes)
+            return Gradients(psi, s0, context, self._undefined())
+        function = self._factorised(slope)
+        adjoint, residual = function.factors.adjoint(slope)
+        psi, s0, context = function.pull(adjoint)
+        return Gradients(psi, states[0] + s0, context, self._evidence(slope, adjoint, adjoint.w, residual))
+
+    def push(
+        self, psi: ArrayLike | None = None, s0: ArrayLike | None = None, context: ArrayLike | None = None
+    ) -> Tangent:
+        """The change of the trajectory when psi, s_0 and the context move; those left out stay.
+
+        Args:
+            psi: dpsi (n_psi,).
+            s0: ds_0 (n_s,).
+            context: dc (n_c,).
+
+        Raises:
+            CertificateError: under the policy "raise", when the tangent is not certified.
+            ProblemError: shapes that do not fit.
+        """
+        given = zip((psi, s0, context), self._sizes, strict=True)
+        dpsi, ds0, dcontext = (np.zeros(size) if move is None else move for move, size in given)
+        ds0, dpsi, dcontext = self.problem.inputs(ds0, dpsi, dcontext)
+        if not self._system.finite:
+            states, actions = (np.full(part.shape, np.nan) for part in (self.solution.states, self.solution.actions))
+            return Tangent(states, actions, self._undefined())
+        function = self._factorised()
+        change, residual = function.push(ByParameters(dpsi, ds0, dcontext))
+        w = pack(change)
+        adjoint, _ = function.factors.adjoint(w)
+        return Tangent(change.states, change.actions, self._evidence(w, adjoint, w, residual))
+
+    @property
+    def _sizes(self) -> tuple[int, int, int]:
+        """Lengths of psi, s_0 and the context."""
+        return self.problem.n_parameters, self.problem.n_states, self.problem.n_context
+
+    def _factorised(self, slope: Array | None = None) -> ImplicitFunction:
+        """Factors of the system; the adjoint of the first slope is begun with them, in one call of machine code."""
+        if self._function is None:
+            self._function = ImplicitFunction(self._system, Factorisation(self._system, slope))
+        return self._function
+
+    @cached_property
+    def _nearby(self) -> Nearby:
+        return newton_step(self._system, self._factorised().factors)
+
+    def _undefined(self) -> SensitivityCertificate:
+        certificate = undefined(self.solution, self._system.active)
+        require(self.policy, certificate)
+        return certificate
+
+    def _evidence(self, slope: Array, adjoint: PrimalDual, direction: Array, residual: float) -> SensitivityCertificate:
+        """The certificate: the adjoint of `slope` has to be stable, and the problem smooth along `direction`."""
+        factors = self._factorised().factors
+        step, margin, change, kink = np.inf, np.nan, np.inf, np.inf
+        if np.isfinite(adjoint.w).all() and np.isfinite(direction).all():
+            step, margin = self._nearby.step, self._nearby.margin
+            change = factors.follow(self._nearby.point, slope, adjoint)
+            kink = kink_along(self._system, direction)
+        certificate = certified(
+            solution=self.solution,
+            kkt_residual=self.solution.residuals.worst,
+            curvature=factors.curvature,
+            qualification=factors.qualification,
+            step=step,
+            margin=margin,
+            change=change,
+            kink=kink,
+            linear_residual=residual,
+            active=self._system.active,
+            barrier=self.solution.barrier,
+        )
+        require(self.policy, certificate)
+        return certificate

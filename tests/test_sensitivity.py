@@ -1,0 +1,220 @@
+"""The derivative of a solution: closed forms, differences of solutions, a dense KKT matrix; and its certificate."""
+
+from dataclasses import fields, replace
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from dense_kkt import derivative
+from problems import TABLE, ScalarLQR, lqr, quadratic, response
+
+from kpirl_ocp import OCP, Implicit, Ipopt, Riccati, Status, sensitivity
+from kpirl_ocp.errors import CertificateError, ProblemError
+from kpirl_ocp.irl.hypergradients.implicit import differentiate
+from kpirl_ocp.ocp.conditions.nlp import pack
+
+ROWS = [*((name, 0.0) for name in TABLE), ("integrator", 1e-3), ("tanh network", 1e-4)]
+
+
+@lru_cache
+def solved(name, barrier=0.0):
+    case = TABLE[name]()
+    solver, seen = Riccati(tolerance=1e-11), case.demonstration
+    solver = solver.with_barrier(barrier) if barrier else solver
+    return case, solver.solve(case.problem, seen.s0, case.psi, seen.context).raise_if_failed()
+
+
+def slopes(solution, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=solution.states.shape), rng.normal(size=solution.actions.shape)
+
+
+def directions(case, seed=1):
+    rng, seen = np.random.default_rng(seed), case.demonstration
+    return {
+        name: rng.normal(size=len(x)) for name, x in (("psi", case.psi), ("s0", seen.s0), ("context", seen.context))
+    }
+
+
+@pytest.mark.parametrize("data", [ScalarLQR(), ScalarLQR(a=1.1, b=-0.4, psi=(0.3, 1.5, 0.8))], ids=str)
+def test_both_products_are_the_closed_form_of_a_scalar_lqr(data):
+    case, (F, G), (H, g, dH, dg) = lqr(data), response(data), quadratic(data)
+    solution = Riccati(tolerance=1e-12).solve(case.problem, case.demonstration.s0, case.psi)
+    u = -np.linalg.solve(H, g)
+    by_psi, by_start = -np.linalg.solve(H, (dH @ u + dg).T), -np.linalg.solve(H, g) / data.s0  # (T, 3), (T,)
+    at = sensitivity(case.problem, solution)
+    for direction, expected in zip(np.eye(3), by_psi.T, strict=True):
+        found = at.push(psi=direction)
+        np.testing.assert_allclose(found.actions[:, 0], expected, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(found.states[:, 0], [0.0, *(G @ expected)], rtol=1e-12, atol=1e-13)
+    moved = at.push(s0=[1.0])
+    np.testing.assert_allclose(moved.actions[:, 0], by_start, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(moved.states[:, 0], [1.0, *(F + G @ by_start)], rtol=1e-12, atol=1e-13)
+    by_states, by_actions = (slope[:, 0] for slope in slopes(solution))
+    pulled = at.pull(by_states[:, None], by_actions[:, None])
+    total = by_actions + by_states[1:] @ G
+    np.testing.assert_allclose(pulled.psi, total @ by_psi, rtol=1e-11)
+    np.testing.assert_allclose(pulled.s0, [by_states[0] + by_states[1:] @ F + total @ by_start], rtol=1e-11)
+
+
+@pytest.mark.parametrize(("name", "barrier"), ROWS)
+def test_both_products_are_those_of_the_dense_kkt_matrix(name, barrier):
+    case, solution = solved(name, barrier)
+    seen = case.demonstration
+    dense = derivative(case.problem, seen.s0, case.psi, seen.context, solution)
+    at = sensitivity(case.problem, solution)
+    by_states, by_actions = slopes(solution)
+    pulled, moves = at.pull(by_states, by_actions), directions(case)
+    expected = np.concatenate([by_states[1:].ravel(), by_actions.ravel()]) @ dense
+    gradients = np.concatenate([pulled.psi, pulled.s0 - by_states[0], pulled.context])
+    np.testing.assert_allclose(gradients, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+    pushed = at.push(**moves)
+    expected = dense @ np.concatenate(list(moves.values()))
+    np.testing.assert_allclose(pack(pushed), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+    np.testing.assert_array_equal(pushed.states[0], moves["s0"])
+    assert pulled.certificate.certified
+    assert pushed.certificate.certified
+    assert pulled.certificate.barrier == pushed.certificate.barrier == barrier
+
+
+@pytest.mark.parametrize("name", ["integrator", "iiwa at a limit", "swing-up", "tanh network"])
+@pytest.mark.parametrize("part", ["psi", "s0", "context"])
+def test_tangents_equal_differences_of_solutions_at_some_step(name, part):
+    case, solution = solved(name)
+    numbers = {"s0": case.demonstration.s0, "psi": case.psi, "context": case.demonstration.context}
+    direction = directions(case)[part]
+    found = pack(sensitivity(case.problem, solution).push(**{part: direction}))
+    errors = []
+    for h in (1e-3, 1e-4, 1e-5):
+        ends = [
+            Ipopt(tolerance=1e-12).solve(
+                case.problem, **(numbers | {part: numbers[part] + sign * h * direction}), guess=solution
+            )
+            for sign in (1, -1)
+        ]
+        slope = (pack(ends[0].trajectory) - pack(ends[1].trajectory)) / (2 * h)
+        errors.append(np.abs(slope - found).max() / max(np.abs(slope).max(), 1e-9))
+    assert min(errors) < 1e-6
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_products_are_adjoint_to_each_other(name):
+    case, solution = solved(name)
+    at, moves, (by_states, by_actions) = sensitivity(case.problem, solution), directions(case), slopes(solution)
+    pushed, pulled = at.push(**moves), at.pull(by_states, by_actions)
+    one = np.sum(by_states * pushed.states) + np.sum(by_actions * pushed.actions)
+    other = sum(getattr(pulled, name) @ move for name, move in moves.items())
+    np.testing.assert_allclose(one, other, rtol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["lqr", "integrator", "tanh network"])
+def test_the_implicit_gradient_is_the_pull_of_the_slope_of_its_loss(name):
+    case, solution = solved(name)
+    problem, seen = case.problem, case.demonstration
+    states = ca.MX.sym("S", problem.n_states, problem.horizon + 1)
+    loss = ca.sumsqr(problem.observe(states) - seen.observations.T)
+    by_states = np.array(ca.Function("slope", [states], [ca.densify(ca.gradient(loss, states))])(solution.states.T)).T
+    found = sensitivity(problem, solution).pull(by_states, np.zeros(solution.actions.shape))
+    expected = differentiate(problem, seen, solution)
+    np.testing.assert_allclose(found.psi, expected.gradient, rtol=1e-12)
+    for field in fields(found.certificate):
+        one, other = (getattr(c, field.name) for c in (found.certificate, expected.certificate))
+        if isinstance(one, float):
+            np.testing.assert_allclose(one, other, rtol=1e-2, atol=1e-9)
+    np.testing.assert_allclose(
+        Implicit(Riccati(tolerance=1e-11))(problem, seen, case.psi).gradient, found.psi, rtol=1e-8
+    )
+
+
+def test_a_direction_of_length_zero_changes_nothing_and_is_certified():
+    case, solution = solved("integrator")
+    at = sensitivity(case.problem, solution)
+    pushed = at.push()
+    assert not pushed.states.any()
+    assert not pushed.actions.any()
+    assert pushed.certificate.certified
+    pulled = at.pull(np.zeros(solution.states.shape), np.zeros(solution.actions.shape))
+    assert not pulled.psi.any()
+    assert pulled.certificate.certified
+
+
+def test_the_slope_by_the_initial_state_itself_is_added():
+    case, solution = solved("integrator")
+    at, (by_states, by_actions) = sensitivity(case.problem, solution), slopes(solution)
+    more = by_states + np.eye(len(by_states))[0][:, None]
+    np.testing.assert_allclose(at.pull(more, by_actions).s0, at.pull(by_states, by_actions).s0 + 1, rtol=1e-12)
+
+
+def capped():
+    """min (u - p)^2 with u <= 1/2: its solution min(p, 1/2) has a kink at p = 1/2."""
+    s, u, psi = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("psi")
+    return OCP.from_expressions(
+        state=s,
+        action=u,
+        parameters=psi,
+        dynamics=s + u,
+        stage_cost=(u - psi) ** 2,
+        horizon=1,
+        action_bounds=(-np.inf, 0.5),
+    )
+
+
+@pytest.mark.parametrize("product", ["pull", "push"])
+def test_derivative_that_does_not_exist_is_refused_or_flagged(product):
+    problem = capped()
+    solution = Riccati().solve(problem, [0.0], [0.5])
+    arguments = ([[0.0], [0.0]], [[1.0]]) if product == "pull" else ([1.0],)
+    with pytest.raises(CertificateError, match="weakly active") as caught:
+        getattr(sensitivity(problem, solution), product)(*arguments)
+    flagged = getattr(sensitivity(problem, solution, policy="flag"), product)(*arguments).certificate
+    assert not flagged.certified
+    assert caught.value.certificate.failures == flagged.failures
+
+
+@pytest.mark.parametrize("product", ["pull", "push"])
+def test_what_is_no_solution_for_its_parameters_has_no_certified_derivative(product):
+    case, solution = solved("integrator")
+    at = sensitivity(case.problem, replace(solution, psi=1.1 * solution.psi), policy="flag")
+    found = at.pull(*slopes(solution)) if product == "pull" else at.push(**directions(case))
+    assert "A Newton step still moves the solution" in str(found.certificate)
+
+
+def test_solution_that_did_not_converge_has_no_certified_derivative():
+    case = TABLE["integrator"]()
+    seen = case.demonstration
+    solution = Riccati(max_iterations=2).solve(case.problem, seen.s0, case.psi, seen.context)
+    assert solution.status is Status.ITERATION_LIMIT
+    with pytest.raises(CertificateError, match="did not converge"):
+        sensitivity(case.problem, solution).push(psi=np.ones(case.problem.n_parameters))
+
+
+def test_slopes_that_are_nan_give_nan_and_say_so():
+    case, solution = solved("integrator")
+    by_states, by_actions = slopes(solution)
+    by_states[3, 0] = np.nan
+    found = sensitivity(case.problem, solution, policy="flag").pull(by_states, by_actions)
+    assert all(np.isnan(part).all() for part in (found.psi, found.s0, found.context))
+    assert "NaN" in str(found.certificate)
+
+
+def test_arguments_of_another_shape_are_refused():
+    case, solution = solved("integrator")
+    at, (by_states, by_actions) = sensitivity(case.problem, solution), slopes(solution)
+    with pytest.raises(ProblemError, match=r"\(T\+1, n_s\)"):
+        at.pull(by_states[1:], by_actions)
+    with pytest.raises(ProblemError, match="psi must have length"):
+        at.push(psi=np.ones(99))
+    with pytest.raises(ProblemError, match="policy must be one of raise, flag"):
+        sensitivity(case.problem, solution, policy="smooth")
+    with pytest.raises(ProblemError, match="must have length"):
+        sensitivity(TABLE["pendulum"]().problem, solution)
+
+
+def test_solutions_know_what_they_were_solved_for_even_if_the_caller_changes_its_arrays():
+    case = TABLE["integrator"]()
+    seen, psi = case.demonstration, case.psi.copy()
+    solution = Riccati().solve(case.problem, seen.s0, psi, seen.context)
+    psi[:] = np.nan
+    np.testing.assert_array_equal(solution.psi, case.psi)
+    np.testing.assert_array_equal(solution.context, seen.context)
