@@ -1,19 +1,15 @@
-"""Files that come with this package or with others, found without importing them."""
+"""Files that come with this package."""
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
-from kpirl_ocp.errors import ModelError, RobotError
+from kpirl_ocp.errors import ModelError
 
 
 def iiwa_urdf() -> Path:
-    """The URDF of the KUKA LBR iiwa in `pybullet_data`. Raises RobotError if that package is not installed."""
-    spec = importlib.util.find_spec("pybullet_data")
-    if spec is None or spec.origin is None:
-        raise RobotError("the iiwa's URDF is in the package pybullet_data: pip install pybullet.")
-    return Path(spec.origin).parent / "kuka_iiwa" / "model.urdf"
+    """The URDF of the KUKA LBR iiwa 14: kinematics, limits and inertias, no meshes."""
+    return Path(__file__).parent / "robots" / "iiwa.urdf"
 
 
 def shipped_model(name: str) -> Path:

@@ -5,6 +5,10 @@ class KpirlError(Exception):
     """Base of every error this package raises on purpose."""
 
 
+class OptionError(KpirlError, ValueError):
+    """An option of a command is unknown, or its value is not accepted."""
+
+
 class RobotError(KpirlError, ValueError):
     """A robot description cannot be used: unreadable file, unknown link or joint type."""
 

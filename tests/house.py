@@ -21,6 +21,7 @@ LAYERS = {
     "irl": {"base", "ocp", "irl"},
     "bridges": {"base", "ocp", "irl", "bridges"},
     "perception": {"base", "perception"},
+    "cli": {"base", "ocp", "irl", "bridges", "perception", "cli"},
 }
 LEAVES = {"errors": set(), "types": {"errors"}}
 HEAVY = {"torch", "pybullet", "pybullet_data", "cv2"}

@@ -6,6 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+pytest.importorskip("cv2")
+pytest.importorskip("pybullet")
+pytest.importorskip("torch")
+
 from kpirl_ocp.episodes import episode_path, read_episode, read_meta
 from kpirl_ocp.errors import EpisodeError, FileError, ProblemError, SceneError
 from kpirl_ocp.perception.data.clips import recordings, unlabelled

@@ -7,6 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
+pytest.importorskip("cv2")
+pytest.importorskip("torch")
 import torch
 from safetensors.numpy import load_file, save_file
 

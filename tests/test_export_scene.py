@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+pytest.importorskip("cv2")
 pytest.importorskip("torch")
 pytest.importorskip("pybullet")
 

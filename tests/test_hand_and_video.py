@@ -1,8 +1,12 @@
 """A hand's demonstration, and videos on disk."""
 
-import cv2
 import numpy as np
 import pytest
+
+pytest.importorskip("cv2")
+pytest.importorskip("pybullet")
+
+import cv2
 
 from kpirl_ocp.errors import FileError, ProblemError, SceneError
 from kpirl_ocp.perception.data.encoding import write_video

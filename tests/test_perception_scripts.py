@@ -9,6 +9,10 @@ import time
 from pathlib import Path
 
 import pytest
+
+pytest.importorskip("cv2")
+pytest.importorskip("pybullet")
+pytest.importorskip("torch")
 from safetensors.numpy import load_file
 
 from kpirl_ocp.perception.data.clips import recordings

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+pytest.importorskip("pybullet")
 pytest.importorskip("torch")
 pytest.importorskip("cv2")
 

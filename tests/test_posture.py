@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+pytest.importorskip("pybullet")
+
 from kpirl_ocp.errors import SceneError
 from kpirl_ocp.perception.scene.posture import UPRIGHT, carry
 from kpirl_ocp.perception.scene.scene import Motors, Scene

@@ -15,6 +15,9 @@ def test_the_readme_has_code():
 
 @pytest.mark.parametrize("block", BLOCKS)
 def test_a_block_prints_what_its_comments_promise(block, capsys):
+    if "kpirl_ocp.perception" in block:
+        for package in ("cv2", "pybullet", "torch"):
+            pytest.importorskip(package)
     exec(compile(block, "README.md", "exec"), {})
     promised = re.findall(r"print\(.*\)  # (.*)", block)
     assert capsys.readouterr().out.split("\n")[:-1] == promised

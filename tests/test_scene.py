@@ -2,8 +2,11 @@
 
 import numpy as np
 import pinocchio as pin
-import pybullet
 import pytest
+
+pytest.importorskip("pybullet")
+
+import pybullet
 
 from kpirl_ocp.errors import SceneError
 from kpirl_ocp.ocp.models.robot import Robot

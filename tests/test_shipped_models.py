@@ -4,6 +4,10 @@ import json
 
 import numpy as np
 import pytest
+
+pytest.importorskip("cv2")
+pytest.importorskip("pybullet")
+pytest.importorskip("torch")
 import torch
 
 from kpirl_ocp.assets import shipped_model

@@ -5,11 +5,12 @@ One file serves both libraries: PyBullet draws it, Pinocchio computes its kinema
 
 from __future__ import annotations
 
+import importlib.util
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
 
-from kpirl_ocp.assets import iiwa_urdf
+from kpirl_ocp.errors import RobotError
 
 BOTTLE, GRIPPER, FLANGE = "bottle", "gripper", "lbr_iiwa_link_7"
 
@@ -55,9 +56,17 @@ HAND_SHAPES = (
 )
 
 
+def iiwa_with_meshes() -> Path:
+    """The URDF of the iiwa in `pybullet_data`, whose meshes lie beside it. Raises RobotError without that package."""
+    spec = importlib.util.find_spec("pybullet_data")
+    if spec is None or spec.origin is None:
+        raise RobotError('the iiwa\'s meshes are in the package pybullet: pip install "kpirl-ocp[perception]".')
+    return Path(spec.origin).parent / "kuka_iiwa" / "model.urdf"
+
+
 def write_arm_with_bottle(directory: Path) -> Path:
     """Write the URDF of the iiwa that holds the bottle: links `gripper` and `bottle` fixed to its flange."""
-    source = iiwa_urdf()
+    source = iiwa_with_meshes()
     tree = ET.parse(source)
     robot = tree.getroot()
     for mesh in robot.iter("mesh"):

@@ -1,0 +1,137 @@
+"""One parser for every subcommand: common options, files of options, and errors of one sentence."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NoReturn
+
+import yaml
+
+from kpirl_ocp.cli.values import existing_file, suggestion
+from kpirl_ocp.errors import OptionError
+
+_COMMON = ("config", "quiet", "help")
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse with numbers like -1e-3 as values, no abbreviations, and `OptionError` instead of an exit."""
+
+    def __init__(self, prog: str, description: str) -> None:
+        super().__init__(
+            prog=prog,
+            description=description,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        self._negative_number_matcher = re.compile(r"-(\.?\d|inf|nan)")
+
+    @property
+    def command(self) -> str:
+        """The name of the subcommand."""
+        return self.prog.split()[-1]
+
+    def error(self, message: str) -> NoReturn:
+        """Raise OptionError with argparse's message, in one sentence."""
+        raise OptionError(re.sub(r"^argument ", "", message))
+
+    def options(self) -> dict[str, argparse.Action]:
+        """The options and positional arguments by name, without those that are about the call itself."""
+        return {action.dest: action for action in self._actions if action.dest not in _COMMON}
+
+    def read(self, words: Sequence[str]) -> argparse.Namespace:
+        """The options of a command line, over those of its --config file, over the defaults.
+
+        Raises:
+            OptionError: an option is unknown, or a value is not accepted.
+        """
+        self._know(words)
+        config = self._config_of(words)
+        if config is not None:
+            self._adopt(config)
+        return self.parse_args(words)
+
+    def _know(self, words: Sequence[str]) -> None:
+        """Raise OptionError, with the nearest that exists, for an option that does not."""
+        known = list(self._option_string_actions)
+        for word in words:
+            name = word.split("=")[0]
+            if name.startswith("--") and len(name) > 2 and name not in known:
+                raise OptionError(f"there is no option {name}{suggestion(name, known)}")
+
+    def _config_of(self, words: Sequence[str]) -> Path | None:
+        finder = Parser(self.prog, "")
+        finder.add_argument("--config", type=existing_file)
+        return finder.parse_known_args([word for word in words if word not in ("-h", "--help")])[0].config
+
+    def _adopt(self, config: Path) -> None:
+        """Values of a file become defaults, by way of words, so that the same are accepted as on the command line."""
+        options, words, given = self.options(), [], {}
+        for name, value in read_config(config).items():
+            if name == "command" and value != self.command:
+                raise OptionError(f"{config} has the options of `kpirl {value}`, not of `{self.prog}`")
+            dest = str(name).replace("-", "_")
+            if name != "command" and dest not in options:
+                raise OptionError(f"{config}: there is no option {name!r}{suggestion(dest, options)}")
+            if name != "command" and value is not None:
+                given[dest] = options[dest]
+                words += _words(options[dest], value)
+        required = [action for action in options.values() if action.required]
+        for action in required:
+            action.required = False
+        try:
+            parsed = self.parse_args(words)
+        except OptionError as error:
+            raise OptionError(f"{config}: {error}") from error
+        for action in required:
+            action.required = action.dest not in given
+        self.set_defaults(**{dest: getattr(parsed, dest) for dest in given})
+
+
+def _words(action: argparse.Action, value: Any) -> list[str]:
+    """The words of a command line that give an option this value."""
+    name = list(action.option_strings[-1:])
+    if action.nargs == 0 and isinstance(value, bool):
+        return name if value else []
+    return name + [str(item) for item in (value if isinstance(value, list) else [value])]
+
+
+def build_parser(command: str, options: ModuleType) -> Parser:
+    """The parser of a subcommand from its module of options."""
+    parser = Parser(f"kpirl {command}", inspect.getdoc(options) or "")
+    options.add_options(parser)
+    if "out" not in parser.options():
+        parser.add_argument("--out", type=Path, default=Path("out") / command, help="directory (default: %(default)s)")
+    parser.add_argument(
+        "--config", type=existing_file, metavar="FILE.yaml", help="options; the command line goes first"
+    )
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    return parser
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """The options in a YAML file. Raises OptionError, naming it, if it is not a mapping."""
+    try:
+        content = yaml.safe_load(path.read_text())
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise OptionError(f"{path} is not a YAML file: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise OptionError(f"{path} must be a mapping from options to values")
+    return content
+
+
+def write_config(path: Path, parser: Parser, args: argparse.Namespace) -> Path:
+    """Write the options that `args` holds, so that --config with this file repeats the call."""
+    options = {name: _plain(getattr(args, name)) for name in parser.options() if name != "out"}
+    path.write_text(yaml.safe_dump({"command": parser.command} | options, sort_keys=False))
+    return path
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value

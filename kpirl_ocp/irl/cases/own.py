@@ -1,0 +1,116 @@
+"""A user's own problem: a function in a Python file that returns an OCP and its numbers."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import sys
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.types import Array
+
+_EXPECTED = "it must return an OCP and a dictionary with its numbers"
+_KEYS = ("s0", "psi", "context", "observations", "step_size")
+
+
+@dataclass(frozen=True, eq=False)
+class OwnProblem:
+    """An optimal-control problem with numbers.
+
+    s0: (n_states,). psi: (n_parameters,). context: (n_context,).
+    observations: (T+1, n_observations) of a demonstration, or None.
+    step_size: of gradient descent, or None.
+    """
+
+    problem: OCP
+    s0: Array
+    psi: Array
+    context: Array
+    observations: Array | None
+    step_size: float | None
+
+
+def load_own(place: str) -> OwnProblem:
+    """Call the function at `FILE.py:FUNCTION` and check what it returns.
+
+    Raises:
+        ProblemError: the file or function is missing or raises, or what it returns does not fit together.
+    """
+    path, _, name = place.rpartition(":")
+    function = getattr(_module(Path(path)), name, None)
+    if not callable(function):
+        raise ProblemError(f"{path} has no function {name!r}.")
+    try:
+        returned = function()
+    except Exception as error:
+        raise ProblemError(_raised(place, error)) from error
+    return _checked(place, returned)
+
+
+def _module(path: Path) -> Any:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise ProblemError(f"there is no Python file {path}.")
+    module = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent.resolve()))  # so that the file may import its neighbours
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ProblemError(_raised(str(path), error)) from error
+    finally:
+        sys.path.pop(0)
+    return module
+
+
+def _raised(place: str, error: Exception) -> str:
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{place} raised {type(error).__name__}: {error} (line {last.lineno} of {Path(last.filename).name})"
+
+
+def _checked(place: str, returned: object) -> OwnProblem:
+    if not (isinstance(returned, tuple) and len(returned) == 2):
+        raise ProblemError(f"{place}: {_EXPECTED}, not {type(returned).__name__}.")
+    problem, numbers = returned
+    if not (isinstance(problem, OCP) and isinstance(numbers, Mapping)):
+        raise ProblemError(f"{place}: {_EXPECTED}, not {type(problem).__name__} and {type(numbers).__name__}.")
+    for key in numbers:
+        if key not in _KEYS:
+            near = difflib.get_close_matches(str(key), _KEYS, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(_KEYS)}."
+            raise ProblemError(f"{place}: no number is called {key!r}: {hint}")
+    shapes = {"s0": (problem.n_states,), "psi": (problem.n_parameters,), "context": (problem.n_context,)}
+    arrays = {name: _array(place, numbers, name, shape) for name, shape in shapes.items()}
+    observed = (problem.horizon + 1, problem.n_observations)
+    observations = _array(place, numbers, "observations", observed) if "observations" in numbers else None
+    return OwnProblem(problem, observations=observations, step_size=_step_size(place, numbers), **arrays)
+
+
+def _array(place: str, numbers: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Array:
+    if name not in numbers and 0 in shape:
+        return np.zeros(shape)
+    if name not in numbers:
+        raise ProblemError(f"{place}: the numbers have no {name!r}, which must be of shape {shape}.")
+    try:
+        value = np.array(numbers[name], float)
+    except (TypeError, ValueError):
+        value = np.array(np.nan)
+    if value.shape != shape and value.size == np.prod(shape) and len(shape) == 1:
+        value = value.reshape(shape)
+    if value.shape != shape or not np.isfinite(value).all():
+        raise ProblemError(f"{place}: {name} must be finite and of shape {shape}, got {numbers[name]!r}.")
+    return value
+
+
+def _step_size(place: str, numbers: Mapping[str, Any]) -> float | None:
+    value = numbers.get("step_size")
+    if value is not None and not (isinstance(value, int | float) and np.isfinite(value) and value > 0):
+        raise ProblemError(f"{place}: step_size must be a positive number, got {value!r}.")
+    return value

@@ -1,0 +1,33 @@
+"""The C libraries of the package, built at installation and loaded with ctypes; all else is in pyproject.toml."""
+
+from pathlib import Path
+
+from setuptools import Extension, setup
+from setuptools.command.bdist_wheel import bdist_wheel
+from setuptools.command.build_ext import build_ext
+
+LIBRARIES: list[Extension] = []
+
+
+class BuildLibraries(build_ext):
+    """Shared libraries under one name for every Python: they hold plain C, no Python module."""
+
+    def get_ext_filename(self, fullname: str) -> str:
+        """Path of a library below the package's root."""
+        return str(Path(*fullname.split(".")).with_suffix(".so"))
+
+    def get_export_symbols(self, ext: Extension) -> list[str]:
+        """No PyInit function."""
+        return ext.export_symbols
+
+
+class PlatformWheel(bdist_wheel):
+    """One wheel a platform, for every Python 3."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        """Tags of interpreter, ABI and platform."""
+        interpreter, abi, platform = super().get_tag()
+        return (interpreter, abi, platform) if self.root_is_pure else ("py3", "none", platform)
+
+
+setup(ext_modules=LIBRARIES, cmdclass={"build_ext": BuildLibraries, "bdist_wheel": PlatformWheel})
