@@ -35,7 +35,7 @@ def solved(name, barrier=0.0):
     given = (case.problem, case.demonstration.s0, case.psi, case.demonstration.context)
     solver = Riccati(tolerance=1e-11)
     solution = (solver.with_barrier(barrier) if barrier else solver).solve(*given).raise_if_failed()
-    return given, solution, ImplicitFunction.at(given[0], solution), derivative(*given, solution)
+    return given, solution, ImplicitFunction.at(given[0], solution), derivative(given[0], solution)
 
 
 ROWS = [(name, 0.0) for name in CASES] + list(SMOOTHED.items())

@@ -61,8 +61,7 @@ def test_both_products_are_the_closed_form_of_a_scalar_lqr(data):
 @pytest.mark.parametrize(("name", "barrier"), ROWS)
 def test_both_products_are_those_of_the_dense_kkt_matrix(name, barrier):
     case, solution = solved(name, barrier)
-    seen = case.demonstration
-    dense = derivative(case.problem, seen.s0, case.psi, seen.context, solution)
+    dense = derivative(case.problem, solution)
     at = sensitivity(case.problem, solution)
     by_states, by_actions = slopes(solution)
     pulled, moves = at.pull(by_states, by_actions), directions(case)

@@ -11,8 +11,10 @@ from problems import TABLE, integrator, network
 from kpirl_ocp.ocp.codegen.numpy_calls import Call, call
 from kpirl_ocp.ocp.conditions import stage_derivatives as stages
 from kpirl_ocp.ocp.conditions.hessian_products import Lagrangian, lagrangian_symbols
-from kpirl_ocp.ocp.conditions.nlp import transcribe
+from kpirl_ocp.ocp.conditions.program import transcribe
 from kpirl_ocp.ocp.linear.stage_operators import flat
+from kpirl_ocp.ocp.problem.constraints import BoundRows
+from kpirl_ocp.ocp.problem.layout import limits
 from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedByStage
 from kpirl_ocp.ocp.sensitivity import conditioning as kkt_spectra
 from kpirl_ocp.ocp.sensitivity import refinement as kkt_solves
@@ -25,8 +27,7 @@ def random_point(case):
     """An instance and a primal-dual point that is no solution of it."""
     problem, demonstration = case.problem, case.demonstration
     n_w = problem.horizon * (problem.n_states + problem.n_actions)
-    nlp = transcribe(problem)
-    n_bounds = np.isfinite(nlp.lower).sum() + np.isfinite(nlp.upper).sum()
+    n_bounds = len(BoundRows.of(*limits(problem)).entries)
     numbers = (n_w, problem.horizon * problem.n_states, n_bounds + problem.horizon * problem.n_path)
     point = PrimalDual(*(0.3 * RNG.normal(size=n) for n in numbers))
     return Instance(problem, demonstration.s0, case.psi, demonstration.context), point
@@ -34,15 +35,14 @@ def random_point(case):
 
 def dense(instance, point):
     """Values, gradient, Hessian of the Lagrangian, Jacobians of defects and path constraints, by AD of the program."""
-    nlp = transcribe(instance.problem)
-    symbols = [nlp.symbols[name] for name in ("w", "s0", "psi", "c")]
-    cost, defects, path = nlp.values(*symbols)
-    mu = instance.path_forces(point.forces)
-    lagrangian = cost + ca.dot(point.costates, defects) + ca.dot(mu, path)
-    hessian, slope = ca.hessian(lagrangian, symbols[0])
-    outputs = [defects, path, slope, hessian, ca.jacobian(defects, symbols[0]), ca.jacobian(path, symbols[0])]
-    evaluate = ca.Function("dense", symbols, [ca.densify(x) for x in outputs])
-    return [np.array(x) for x in evaluate(point.w, instance.s0, instance.psi, instance.context)]
+    program, n_s = transcribe(instance.problem), instance.problem.n_states
+    cost, defects, path = program.values(*program.symbols)
+    w, mu = program.symbols[0], instance.path_forces(point.forces)
+    hessian, slope = ca.hessian(cost + ca.dot(point.costates, defects) + ca.dot(mu, path), w)
+    jacobians = [ca.jacobian(rows, w)[:, n_s:] for rows in (defects, path)]  # s_0 is given
+    outputs = [defects, path, slope[n_s:], hessian[n_s:, n_s:], *jacobians]
+    evaluate = ca.Function("dense", program.symbols, [ca.densify(x) for x in outputs])
+    return [np.array(x) for x in evaluate(np.append(instance.s0, point.w), instance.psi, instance.context)]
 
 
 @pytest.mark.parametrize("name", TABLE)

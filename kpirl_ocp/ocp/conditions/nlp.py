@@ -9,13 +9,14 @@ any problem.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
+from kpirl_ocp.ocp.problem.constraints import BoundRows
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.types import Array, Indices, Mask, Multipliers, Trajectory
+from kpirl_ocp.types import Array, Multipliers, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,43 +24,14 @@ class NLP:
     """The program of an OCP in CasADi functions of (w, s0, psi, c).
 
     n_w = T n_s + T n_u. values: -> objective, defects (T n_s,), path constraints (T n_h,).
-    first: also (lambda, mu) -> gradient of J, gradient of J + lambda.defects + mu.path with respect to w.
+    lower, upper: bounds (n_w,). n_defects: T n_s.
     """
 
     symbols: dict[str, ca.MX]
     values: ca.Function
-    first: ca.Function
     lower: Array
     upper: Array
     n_defects: int
-
-    @cached_property
-    def bounded(self) -> Bounds:
-        """All finite bounds of w."""
-        low, high = np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
-        entries, limits = np.concatenate([low, high]), np.concatenate([self.lower[low], self.upper[high]])
-        signs = np.repeat([-1.0, 1.0], [len(low), len(high)])
-        twice = np.bincount(entries, minlength=len(self.lower))[entries] > 1
-        return Bounds(entries, signs, limits, twice, (self.lower == self.upper)[entries], len(low))
-
-
-@dataclass(frozen=True, eq=False)
-class Bounds:
-    """Finite lower bounds, then finite upper bounds, as signs * (limits - w[entries]) >= 0; all (n_bounds,).
-
-    twice: True where the other side is bounded, too. equal: where it coincides. n_lower: how many are lower bounds.
-    """
-
-    entries: Indices
-    signs: Array
-    limits: Array
-    twice: Mask
-    equal: Mask
-    n_lower: int
-
-    def slack(self, w: Array) -> Array:
-        """What is left (n_bounds,) at w (n_w,)."""
-        return self.signs * (self.limits - w[self.entries])
 
 
 @lru_cache(maxsize=64)
@@ -80,22 +52,22 @@ def transcribe(problem: OCP) -> NLP:
     defects = ca.vec(successors - states[:, 1:])
     path = ca.vec(problem.path(states, actions, psi, context))
 
-    lam, mu = ca.MX.sym("lam", defects.numel()), ca.MX.sym("mu", path.numel())
-    lagrangian = objective + ca.dot(lam, defects) + ca.dot(mu, path)
     point = [w, s0, psi, context]
-    bounds = [np.concatenate([s[1:].ravel(), u.ravel()]) for s, u in _bound_pairs(problem)]
+    lower, upper = _limits(problem)
     return NLP(
         symbols={"w": w, "p": ca.vertcat(s0, psi, context), "s0": s0, "psi": psi, "c": context},
         values=ca.Function("values", point, [objective, defects, path]),
-        first=ca.Function("first", [*point, lam, mu], [ca.gradient(objective, w), ca.gradient(lagrangian, w)]),
-        lower=bounds[0],
-        upper=bounds[1],
+        lower=lower,
+        upper=upper,
         n_defects=defects.numel(),
     )
 
 
-def _bound_pairs(problem: OCP) -> list[tuple[Array, Array]]:
-    return [(np.asarray(s), np.asarray(u)) for s, u in zip(problem.state_bounds, problem.action_bounds, strict=True)]
+def _limits(problem: OCP) -> tuple[Array, Array]:
+    """Lower and upper bounds (n_w,)."""
+    pairs = zip(map(np.asarray, problem.state_bounds), map(np.asarray, problem.action_bounds), strict=True)
+    lower, upper = (np.concatenate([states[1:].ravel(), actions.ravel()]) for states, actions in pairs)
+    return lower, upper
 
 
 def pack(trajectory: Trajectory) -> Array:
@@ -126,45 +98,7 @@ def bound_multipliers(multipliers: Multipliers) -> Array:
     return np.concatenate([multipliers.state[1:].ravel(), multipliers.action.ravel()])
 
 
-@dataclass(frozen=True)
-class Inequalities:
-    """All inequalities in one list, each as slack >= 0: finite lower bounds, finite upper bounds, path constraints.
-
-    slack: (n_ineq,). equal: (n_ineq,) True where lower and upper bound coincide, so that the row is an equality.
-    """
-
-    bounds: Bounds
-    slack: Array
-    equal: Mask
-
-    @classmethod
-    def at(cls, nlp: NLP, w: Array, path: Array) -> Inequalities:
-        """The inequalities at w (n_w,), with path constraints (T n_h,) evaluated there."""
-        bounds = nlp.bounded
-        equal = np.concatenate([bounds.equal, np.zeros(len(path), bool)])
-        return cls(bounds, np.concatenate([bounds.slack(w), -path]), equal)
-
-    def forces(self, multipliers: Multipliers, barrier: float) -> Array:
-        """Multipliers (n_ineq,), not negative at a solution: each signed bound multiplier split into its two sides.
-
-        With a barrier both sides of a bound push, and only their difference is known: there they follow from the
-        slack, tau / slack, and a disagreement shows up in the stationarity.
-        """
-        at = self.bounds
-        forces = at.signs * bound_multipliers(multipliers)[at.entries]
-        forces = np.where(at.twice, np.maximum(forces, 0.0), forces)
-        if barrier > 0:
-            with np.errstate(divide="ignore"):
-                forces = np.where(at.equal, forces, barrier / self.slack[: len(forces)])
-        return np.concatenate([forces, multipliers.path.ravel()])
-
-    def push(self, forces: Array, n_w: int) -> Array:
-        """Net force (n_w,) of the bounds: upper minus lower."""
-        at = self.bounds
-        return np.bincount(at.entries, at.signs * forces[: len(at.entries)], n_w).astype(float)
-
-
-def bounded_entries(problem: OCP) -> tuple[Indices, Array]:
-    """The entries of w (n_bounds,) that have a finite lower bound, then a finite upper one, and signs -1 and 1."""
-    bounds = transcribe(problem).bounded
-    return bounds.entries, bounds.signs
+@lru_cache(maxsize=64)
+def bound_rows(problem: OCP) -> BoundRows:
+    """The finite bounds of w (n_w,)."""
+    return BoundRows.of(*_limits(problem))

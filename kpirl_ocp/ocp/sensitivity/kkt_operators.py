@@ -11,7 +11,7 @@ from typing import Protocol
 
 import casadi as ca
 
-from kpirl_ocp.ocp.conditions.nlp import bounded_entries
+from kpirl_ocp.ocp.conditions.nlp import bound_rows
 from kpirl_ocp.ocp.linear.riccati_recursion import factorise
 from kpirl_ocp.ocp.linear.stage_operators import by_stage, flat, len_x, path_product, selection, stiffen_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -97,15 +97,16 @@ def pull_path(problem: OCP, G: ca.MX, forces: ca.MX) -> ca.MX:
 
 def split(problem: OCP, values: ca.MX) -> tuple[ca.MX, ca.MX]:
     """Of the bounds (n_bounds,), and of the path constraints (n_h, T)."""
-    bounds, path = ca.vertsplit(values, [0, len(bounded_entries(problem)[0]), values.numel()])
+    bounds, path = ca.vertsplit(values, [0, len(bound_rows(problem).entries), values.numel()])
     return bounds, ca.reshape(path, problem.n_path, problem.horizon)
 
 
 def bound_columns(problem: OCP) -> ca.DM:
     """The transposed rows of the bounds (n_w, n_bounds)."""
-    return selection(problem, *bounded_entries(problem))
+    at = bound_rows(problem)
+    return selection(problem, at.entries, at.signs)
 
 
 def n_rows(problem: OCP) -> int:
     """The number of inequalities."""
-    return len(bounded_entries(problem)[0]) + problem.horizon * problem.n_path
+    return len(bound_rows(problem).entries) + problem.horizon * problem.n_path

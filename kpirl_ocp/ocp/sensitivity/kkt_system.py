@@ -17,8 +17,9 @@ from functools import cached_property
 import numpy as np
 
 from kpirl_ocp.ocp.codegen.numpy_calls import call
-from kpirl_ocp.ocp.conditions.nlp import NLP, Inequalities, bounded_entries, pack, transcribe
+from kpirl_ocp.ocp.conditions.nlp import bound_multipliers, bound_rows, pack
 from kpirl_ocp.ocp.conditions.stage_derivatives import by_time, second
+from kpirl_ocp.ocp.problem.constraints import Inequalities
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.scope import refuse_features
 from kpirl_ocp.ocp.problem.solver import StageDerivatives
@@ -44,11 +45,6 @@ class Instance:
         refuse_features(problem, "the derivative of a solution", "FiniteDifference(Ipopt())")
         s0, psi, context = problem.inputs(solution.states[0], solution.psi, solution.context)
         return cls(problem, s0, psi, context, solution.barrier)
-
-    @property
-    def nlp(self) -> NLP:
-        """The problem as a nonlinear program."""
-        return transcribe(self.problem)
 
     def at(self, w: Array) -> tuple[Array, Array, Array, Array]:
         """The arguments (S, U, psi, c), flat, that functions of `stage_derivatives` begin with."""
@@ -111,7 +107,7 @@ class KKTSystem:
     @cached_property
     def only_actions(self) -> bool:
         """True if every active row bounds an action."""
-        entries, _ = bounded_entries(self.instance.problem)
+        entries = bound_rows(self.instance.problem).entries
         bounds, path = self.active[: len(entries)], self.active[len(entries) :]
         return not path.any() and not (entries[bounds] < len(self.defects)).any()
 
@@ -134,7 +130,8 @@ class KKTSystem:
 
     def times_rows(self, w: Array) -> Array:
         """rows w (n_ineq,)."""
-        entries, signs = bounded_entries(self.instance.problem)
+        bounds = bound_rows(self.instance.problem)
+        entries, signs = bounds.entries, bounds.signs
         if not self.G.size:
             return signs * w[entries]
         x, _ = self.by_stage(w)
@@ -142,11 +139,12 @@ class KKTSystem:
 
     def times_transposed_rows(self, forces: Array) -> Array:
         """rows' forces (n_w,)."""
-        entries, signs = bounded_entries(self.instance.problem)
+        bounds = bound_rows(self.instance.problem)
         steps, n_s, (_, n_x, n_h) = len(self.H), len(self.H_last), self.G.shape
-        pushed = np.bincount(entries, signs * forces[: len(entries)], steps * n_x).astype(float)
+        n_bounds = len(bounds.entries)
+        pushed = bounds.net_force(forces[:n_bounds], steps * n_x)
         if n_h:
-            pushed += self.flat((self.G @ forces[len(entries) :].reshape(steps, n_h, 1))[:, :, 0], np.zeros(n_s))
+            pushed += self.flat((self.G @ forces[n_bounds:].reshape(steps, n_h, 1))[:, :, 0], np.zeros(n_s))
         return pushed
 
     def by_stage(self, w: Array) -> tuple[Array, Array]:
@@ -183,8 +181,10 @@ class KKTSystem:
 def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
     """The point of a solution."""
     w = pack(solution.trajectory)
-    rows = Inequalities.at(instance.nlp, w, np.zeros(0))  # of path constraints nothing but the multipliers is asked
-    return PrimalDual(w, solution.multipliers.dynamics.ravel(), rows.forces(solution.multipliers, solution.barrier))
+    known = solution.multipliers
+    rows = Inequalities.at(bound_rows(instance.problem), w, np.zeros(0))  # g is not asked for, but its multipliers
+    forces = rows.forces(bound_multipliers(known), known.path.ravel(), solution.barrier)
+    return PrimalDual(w, known.dynamics.ravel(), forces)
 
 
 def linearise(
@@ -204,7 +204,7 @@ def linearise(
     defects, path, r, r_last, F, G, H, H_last = derivatives
     steps, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
     G = G.reshape(steps, n_x, problem.n_path)
-    rows = Inequalities.at(instance.nlp, point.w, path)
+    rows = Inequalities.at(bound_rows(problem), point.w, path)
     stiffness = np.zeros(len(rows.equal))
     if instance.barrier > 0:
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.conditions.hessian_products import Lagrangian, lagrangian_symbols
-from kpirl_ocp.ocp.conditions.nlp import transcribe
+from kpirl_ocp.ocp.conditions.nlp import bound_rows
 from kpirl_ocp.ocp.linear.riccati_recursion import factor_symbols, substitute
-from kpirl_ocp.ocp.linear.stage_operators import by_stage, flat, matrices
+from kpirl_ocp.ocp.linear.stage_operators import by_stage, flat, len_x, matrices
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.conditioning import (
     condensed_scale,
@@ -49,7 +49,7 @@ class _Triple(NamedTuple):
 
     @classmethod
     def symbols(cls, problem: OCP, *names: str) -> _Triple:
-        sizes = transcribe(problem).lower.size, problem.horizon * problem.n_states, n_rows(problem)
+        sizes = problem.horizon * len_x(problem), problem.horizon * problem.n_states, n_rows(problem)
         return cls(*(ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)))
 
     def plus(self, other: _Triple) -> _Triple:
@@ -109,7 +109,7 @@ def begin(problem: OCP) -> ca.Function:
     """
     given = factor(problem).mx_in()
     F, G, H, last, sigma, active, *_ = given
-    slope, newton = ca.MX.sym("slope", transcribe(problem).lower.size), _Triple.symbols(problem, "r", "d", "c")
+    slope, newton = ca.MX.sym("slope", problem.horizon * len_x(problem)), _Triple.symbols(problem, "r", "d", "c")
     found = factor(problem).call(given)
     P, W, Y, pivots, stiffness, scale, *_ = found
     nothing = _Triple(*(ca.MX.zeros(part.shape) for part in newton))
@@ -180,7 +180,7 @@ def _left(problem: OCP, operator: Operator, sigma: ca.MX, active: ca.MX, right: 
 def _smoothing(problem: OCP, at: Lagrangian, tau: ca.MX) -> ca.MX:
     """tau / slack^2 (n_ineq,) of inequalities that are no equalities, zero for those and without smoothing."""
     path, w = at.path_values, ca.vertcat(ca.vec(at.states[:, 1:]), ca.vec(at.actions))
-    bounds = transcribe(problem).bounded
+    bounds = bound_rows(problem)
     room = ca.DM(bounds.signs) * (ca.DM(bounds.limits) - w[bounds.entries.tolist()])
     slack = ca.densify(ca.vertcat(room, -ca.vec(path)))
     smoothed = ca.DM(np.concatenate([~bounds.equal, np.ones(path.numel(), bool)]).astype(float))
