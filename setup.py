@@ -1,12 +1,26 @@
 """The C libraries of the package, built at installation and loaded with ctypes; all else is in pyproject.toml."""
 
+import platform
+from glob import glob
 from pathlib import Path
 
 from setuptools import Extension, setup
 from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
-LIBRARIES: list[Extension] = []
+# No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order.
+FLAGS = ["-std=c99", "-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast"]
+CORE = "kpirl_ocp.ocp.interior_point._core"
+SOURCES = sorted(glob("kpirl_ocp/ocp/interior_point/c/*.c"))
+HEADERS = sorted(glob("kpirl_ocp/ocp/interior_point/c/*.h"))
+# One build for each level of the x86-64 psABI; the package loads the best one that the processor runs.
+LEVELS = {"": []}
+if platform.machine() in ("x86_64", "AMD64"):
+    LEVELS |= {level: [f"-march=x86-64{level.replace('_', '-')}"] for level in ("_v3", "_v4")}
+LIBRARIES = [
+    Extension(f"{CORE}{level}", SOURCES, depends=HEADERS, libraries=["m"], extra_compile_args=[*FLAGS, *more])
+    for level, more in LEVELS.items()
+]
 
 
 class BuildLibraries(build_ext):

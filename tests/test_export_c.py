@@ -13,7 +13,8 @@ from exported import COMPILERS, STRICT, C, built, folder, ran
 from problems import TABLE
 
 from kpirl_ocp import Riccati
-from kpirl_ocp.ocp.export import ExportedSolver, generated
+from kpirl_ocp.ocp.codegen import portable_c as generated
+from kpirl_ocp.ocp.export import ExportedSolver
 from kpirl_ocp.ocp.solvers.sqp import SQP, program
 
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)

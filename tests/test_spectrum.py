@@ -4,7 +4,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp.ocp.interior_point.filter import Filter
 from kpirl_ocp.ocp.linear.lanczos import lanczos, magnitude, outermost, start
 
 RNG = np.random.default_rng(0)
@@ -69,19 +68,3 @@ def test_nan_stays_nan():
     matrix = np.eye(3)
     matrix[1, 2] = matrix[2, 1] = np.nan
     assert np.isnan(outer(matrix, 3)).all()
-
-
-def test_filter_accepts_progress_in_either_measure_and_never_returns_to_a_point_it_left():
-    found = Filter.starting_at(1.0)
-    assert found.accepts(1.0, 5.0, 0.0, 1.0, (0.5, 9.0))  # less violation, at a higher cost
-    assert found.accepts(0.5, 9.0, 0.0, 1.0, (0.6, 3.0))  # less cost, at a higher violation
-    assert not found.accepts(0.6, 3.0, 0.0, 1.0, (1.0, 5.0))
-    assert not found.accepts(0.6, 3.0, 0.0, 1.0, (np.nan, 0.0))
-    assert not found.accepts(0.6, 3.0, 0.0, 1.0, (2e4, -1e9))  # too far from feasible, whatever the cost
-
-
-def test_filter_asks_for_a_decrease_in_proportion_to_the_slope_where_violation_is_small():
-    found = Filter.starting_at(1.0)
-    assert not found.accepts(1e-9, 1.0, -1.0, 1.0, (1e-9, 1.0 - 1e-6))
-    assert found.accepts(1e-9, 1.0, -1.0, 1.0, (1e-9, 1.0 - 1e-3))
-    assert found.pairs == []

@@ -13,14 +13,12 @@ from problems import TABLE, integrator, network, swing_up
 
 from kpirl_ocp import OCP, Fatrop, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.conditions.stage_derivatives import second
-from kpirl_ocp.ocp.export.resident import _resident, resident
+from kpirl_ocp.ocp.interior_point.machine_code import machine_code
 from kpirl_ocp.ocp.problem.solver import solve_and_linearise
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, primal_dual
-from kpirl_ocp.ocp.solvers.riccati import _Run
 
 SOLVERS = {"riccati": (Riccati(), 1e-8, 1e-6), "fatrop": (Fatrop(), 1e-6, 1e-4)}  # solver, objective, multipliers
 
@@ -70,16 +68,6 @@ def test_solution_is_its_own_warm_start(name):
     assert again.status is Status.CONVERGED
     assert again.iterations <= 5
     np.testing.assert_allclose(again.objective, solution(name).objective, rtol=1e-8)
-
-
-def test_warm_start_that_gets_stuck_begins_again_from_its_trajectory(monkeypatch):
-    problem, *numbers = given("swing-up")
-    real, stuck = _Run.converge, iter([Status.STALLED])
-    monkeypatch.setattr(_Run, "converge", lambda run: next(stuck, None) or real(run))
-    found = Riccati().solve_in_python(problem, *problem.inputs(*numbers), solution("swing-up"))
-    assert found.status is Status.CONVERGED
-    assert found.iterations > 1  # without multipliers
-    np.testing.assert_allclose(found.objective, solution("swing-up").objective, rtol=1e-8)
 
 
 def test_trajectory_as_a_guess_needs_no_dynamics_in_it():
@@ -212,46 +200,42 @@ def test_swing_up_is_found_from_rest_by_a_step_that_needs_regularisation():
     assert found.states[-1, 0] == pytest.approx(np.pi, abs=0.1)
 
 
-@pytest.fixture
-def machine_code(monkeypatch):
-    """Solves in machine code, however small the problem is."""
-    if not any(map(shutil.which, ("cc", "gcc", "clang"))):
-        pytest.skip("there is no C compiler")
-    monkeypatch.setattr("kpirl_ocp.ocp.export.resident.worth_compiling", lambda problem: True)
-    monkeypatch.setattr(native, "FLAGS", ("-O0", *native.FLAGS[1:]))  # the compiler is all that takes time here
-    _resident.cache_clear()
-    yield
-    _resident.cache_clear()  # what was found for small problems here is not what others should find
+@pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")
+@pytest.mark.parametrize("name", ["lqr", "integrator", "pendulum", "swing-up"])
+def test_machine_code_gives_the_numbers_of_the_virtual_machine_to_the_last_bit(name):
+    numbers = given(name)
+    for solver in (Riccati(), Riccati(barrier=1e-3), Riccati(steps=1, barrier=1e-3)):
+        one, other = (replace(solver, compile=wish).solve(*numbers) for wish in (False, True))
+        assert (one.status, one.iterations, one.objective) == (other.status, other.iterations, other.objective)
+        np.testing.assert_array_equal(one.states, other.states)
+        np.testing.assert_array_equal(one.actions, other.actions)
 
 
-SETTINGS = (Riccati(), Riccati(barrier=1e-3), Riccati(steps=1, barrier=1e-3))
+@pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")
+def test_problem_that_is_solved_often_is_compiled_in_the_background(monkeypatch):
+    monkeypatch.setattr("kpirl_ocp.ocp.interior_point.machine_code._OFTEN", 0)
+    numbers = given("integrator")
+    problem = replace(numbers[0])  # one that nobody has solved
+    results = [Riccati().solve(problem, *numbers[1:]) for _ in range(2)]
+    code = machine_code(problem)
+    code.wait()
+    assert code.addresses() is not None
+    results.append(Riccati().solve(problem, *numbers[1:]))
+    for result in results[1:]:
+        np.testing.assert_array_equal(result.actions, results[0].actions)
 
 
-@pytest.mark.parametrize("name", TABLE)
-def test_machine_code_takes_the_steps_of_the_python_driver(name, machine_code):
-    problem, *given_here = given(name)
-    numbers = problem.inputs(*given_here)
-    machine = resident(problem, 500)
-    guess = None
-    for solver in SETTINGS:
-        found, expected = machine.solve(solver, *numbers, guess), solver.solve_in_python(problem, *numbers, guess)
-        guess = expected
-        assert (found.status, found.iterations, found.barrier) == (
-            expected.status,
-            expected.iterations,
-            expected.barrier,
-        )
-        np.testing.assert_allclose(found.objective, expected.objective, rtol=1e-12)
-        np.testing.assert_allclose(found.states, expected.states, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(found.actions, expected.actions, rtol=0, atol=1e-9)
-        for kind, multipliers in vars(expected.multipliers).items():
-            scale = max(1.0, np.abs(multipliers).max(initial=0.0))
-            np.testing.assert_allclose(getattr(found.multipliers, kind), multipliers, rtol=0, atol=1e-8 * scale)
-        assert found.residuals.scale == pytest.approx(expected.residuals.scale, rel=1e-9)
+def test_without_a_compiler_problems_are_solved_without_a_word(monkeypatch, recwarn):
+    monkeypatch.setattr("kpirl_ocp.ocp.codegen.compiler.find_compiler", lambda: None)
+    monkeypatch.setattr("kpirl_ocp.ocp.interior_point.machine_code._OFTEN", 0)
+    problem, *numbers = given("integrator")
+    for _ in range(2):
+        assert Riccati().solve(replace(problem), *numbers).status is Status.CONVERGED
+    assert not [warning for warning in recwarn if "compiler" in str(warning.message)]
 
 
 @pytest.mark.parametrize("name", ["integrator", "tanh network"])
-def test_second_derivatives_are_handed_over_where_a_solve_ended_with_them(name, machine_code):
+def test_second_derivatives_are_handed_over_where_a_solve_ended_with_them(name):
     problem, *given_here = given(name)
     s0, psi, context = problem.inputs(*given_here)
     found, derivatives = Riccati().solve_and_linearise(problem, s0, psi, context)
@@ -269,26 +253,12 @@ def test_second_derivatives_are_handed_over_where_a_solve_ended_with_them(name, 
 
 def test_solvers_that_end_without_second_derivatives_hand_over_none():
     problem, *numbers = given("lqr")
-    for solver in (Riccati(), Ipopt()):  # too small for machine code; another solver
-        found, derivatives = solve_and_linearise(solver, problem, *numbers)
-        assert found.status is Status.CONVERGED
-        assert derivatives is None
+    found, derivatives = solve_and_linearise(Ipopt(), problem, *numbers)
+    assert found.status is Status.CONVERGED
+    assert derivatives is None
 
 
-def test_problems_too_small_for_the_compiler_or_too_large_for_the_stack_are_solved_by_python(machine_code, monkeypatch):
-    problem = given("lqr")[0]
-    assert resident(problem, 500) is not None
-    assert resident(problem, 500) is resident(problem, 1000)
-    assert resident(problem, 1001) is not resident(problem, 1000)
-    monkeypatch.setattr("kpirl_ocp.ocp.export.resident._LARGEST", 10)
-    _resident.cache_clear()
-    assert resident(problem, 500) is None
-    monkeypatch.undo()
-    _resident.cache_clear()
-    assert resident(problem, 500) is None
-
-
-def test_solutions_of_machine_code_share_no_memory(machine_code):
+def test_solutions_share_no_memory():
     problem, s0, psi, context = given("integrator")
     one = Riccati().solve(problem, s0, psi, context)
     kept = one.actions.copy()
@@ -297,7 +267,7 @@ def test_solutions_of_machine_code_share_no_memory(machine_code):
     assert np.abs(other.actions - kept).max() > 1e-3
 
 
-def test_threads_solve_at_the_same_time_without_meeting(machine_code):
+def test_threads_solve_at_the_same_time_without_meeting():
     problem, s0, psi, context = given("integrator")
     starts = [s0 + np.array([shift, 0.0]) for shift in np.linspace(-0.3, 0.3, 16)]
 
@@ -312,11 +282,16 @@ def test_threads_solve_at_the_same_time_without_meeting(machine_code):
             np.testing.assert_array_equal(actions, expected)
 
 
-def test_what_machine_code_refuses_is_left_to_python(machine_code):
-    problem, s0, psi, context = given("integrator")
-    broken = replace(solution("integrator").multipliers, dynamics=np.full((problem.horizon, 2), np.nan))
-    guess = replace(solution("integrator"), multipliers=broken)
-    found = Riccati().solve(problem, s0, psi, context, guess=guess)
-    expected = Riccati().solve_in_python(problem, *problem.inputs(s0, psi, context), guess)
-    assert found.status is expected.status
-    assert resident(problem, 500).solve(Riccati(), *problem.inputs(s0, psi, context), guess) is None
+@pytest.mark.parametrize("field", ["dynamics", "state", "action", "path"])
+def test_multipliers_of_another_problem_are_refused(field):
+    problem, *numbers = given("integrator")
+    multipliers = replace(solution("integrator").multipliers, **{field: np.zeros((3, 7))})
+    with pytest.raises(ProblemError, match=f"multipliers.{field} must be"):
+        Riccati().solve(problem, *numbers, guess=replace(solution("integrator"), multipliers=multipliers))
+
+
+def test_log_shows_every_iteration(capfd):
+    found = replace(Riccati(), verbose=True).solve(*given("integrator"))
+    lines = capfd.readouterr().err.splitlines()
+    assert len(lines) == 1 + found.iterations
+    assert float(lines[-1].split()[1]) == pytest.approx(found.objective, rel=1e-7)

@@ -1,0 +1,207 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The interior-point method: its memory, and the functions that it is made of.
+ *
+ * The unknowns x = (x_0, .., x_{T-1}, s_T), x_t = (s_t, u_t), are one array. Inequalities g(x) <= 0 are the finite lower
+ * bounds, the finite upper bounds, then h and h_T, with slacks y > 0 and multipliers z > 0. Equalities are entries of x whose
+ * bounds coincide, then e and e_T, with multipliers nu. The Lagrangian is
+ *
+ *     J + lambda . (f - s_next) + z . g + nu . equalities.
+ */
+#ifndef KPIRL_MPC_CORE_H
+#define KPIRL_MPC_CORE_H
+
+#include <stddef.h>
+
+#include "kpirl_mpc_model.h"
+#include "kpirl_mpc_recursion.h"
+#include "kpirl_mpc_status.h"
+
+/* Lower and upper bounds of x, which may be infinite; of s_0 those of its free entries are read. */
+typedef struct kpirl_mpc_bounds {
+  const real *lower, *upper;
+  const int *free_entries; /* (n_free) of s_0 that are decisions */
+  int n_free;
+} kpirl_mpc_bounds;
+
+typedef struct kpirl_mpc_iterate {
+  real *x, *costates, *y, *z, *nu;
+} kpirl_mpc_iterate;
+
+/* What is known at an iterate. Matrices are by columns, one stage after the other. */
+typedef struct kpirl_mpc_derivatives {
+  real objective, violation, scale;
+  real *defects;               /* f - s_next (T n_s) */
+  real *gap;                   /* given entries of s_0 minus those of the iterate (n_s); zero for free ones */
+  real *path, *equality;       /* h and h_T; e and e_T */
+  real *g, *c;                 /* all inequalities, all equalities */
+  real *cost_gradient;         /* of J by x */
+  real *gradient;              /* of the Lagrangian by x; zero at given entries of s_0 */
+  real *start_gradient;        /* of the Lagrangian by s_0, given entries included: the derivative of the optimal value */
+  real *slope;                 /* of the Lagrangian of cost and dynamics alone */
+  real *F;                     /* (n_s, n_x) */
+  real *G, *E;                 /* transposed: (n_x, n_h) and (n_x, n_e), of s_T (n_s, .) */
+  real *H;                     /* (n_x, n_x), of s_T (n_s, n_s); the lower triangle */
+  int matrices;                /* are they of this iterate? */
+} kpirl_mpc_derivatives;
+
+/* A Newton step towards tau, and the longest lengths that keep y and z positive. */
+typedef struct kpirl_mpc_step {
+  kpirl_mpc_iterate change;
+  real tau, primal_length, dual_length, regularisation;
+  int positive; /* is the Hessian along the dynamics? */
+} kpirl_mpc_step;
+
+/* Pairs (theta, phi) of violation and objective that no later iterate may be worse than in both. */
+enum { KPIRL_MPC_FILTER_SIZE = 64 };
+typedef struct kpirl_mpc_filter {
+  real largest, small; /* theta above which nothing is accepted, and below which the objective decides */
+  real theta[KPIRL_MPC_FILTER_SIZE], phi[KPIRL_MPC_FILTER_SIZE];
+  int count;
+} kpirl_mpc_filter;
+
+typedef struct kpirl_mpc_merit {
+  real theta, phi;
+} kpirl_mpc_merit;
+
+/* A line of the log. */
+typedef struct kpirl_mpc_iteration {
+  int iteration, trials;
+  double objective, infeasibility, dual_infeasibility, complementarity, tau, step, regularisation, primal_length, dual_length;
+} kpirl_mpc_iteration;
+
+typedef struct kpirl_mpc_options {
+  int max_iterations;
+  int steps;                 /* 0: iterate until the conditions hold; else that many full Newton steps */
+  double tolerance, barrier;
+  double time_limit;         /* [s] from the start of the solve; 0: none */
+  double (*now)(void *);     /* a clock [s], with what it is called with; NULL: none */
+  void *clock;
+  void (*log)(void *, const kpirl_mpc_iteration *); /* called after every iteration; NULL: none */
+  void *log_to;
+} kpirl_mpc_options;
+
+typedef struct kpirl_mpc_residuals {
+  double stationarity, feasibility, complementarity, scale;
+} kpirl_mpc_residuals;
+
+typedef struct kpirl_mpc_core {
+  kpirl_mpc_dimensions dimensions;
+  kpirl_mpc_model model;
+  kpirl_mpc_bounds bounds;
+  kpirl_mpc_numbers numbers;
+  kpirl_mpc_options options;
+
+  int n_lower, n_upper, n_fixed; /* entries of x */
+  int *lower, *upper, *fixed;
+  kpirl_mpc_iterate at, trial;
+  kpirl_mpc_derivatives d;
+  kpirl_mpc_step step, first;
+  kpirl_mpc_factors factors;
+  kpirl_mpc_filter filter;
+  real *M;              /* the condensed Hessian of a stage (n_x, n_x) */
+  real *weights, *force; /* of inequalities */
+  real *target;         /* of y z (m) */
+  real *right, *start;  /* right-hand side (n_w), and of s_0 (n_s) */
+  real *K;              /* feedback (n_u, n_s) of a stage */
+  real *scratch;
+  real *nonzeros;       /* of a function's result */
+  real *states, *actions; /* gathered for functions of the whole horizon */
+  real tau, tolerance, regularisation;
+  double started;
+  int iterations, trials, lifted, failed; /* failed: has a function reported an error? */
+} kpirl_mpc_core;
+
+/* n_w, the number of bounds, m and the number of equalities. */
+int kpirl_mpc_n_point(const kpirl_mpc_core *core);
+int kpirl_mpc_n_bounds(const kpirl_mpc_core *core);
+int kpirl_mpc_n_inequalities(const kpirl_mpc_core *core);
+int kpirl_mpc_n_equalities(const kpirl_mpc_core *core);
+
+/* Bytes for a problem, and the core in that memory, aligned as from malloc; what the pointers of the arguments show is not
+ * copied and must stay. */
+size_t kpirl_mpc_core_size(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_bounds *bounds,
+                           const kpirl_mpc_model *model);
+kpirl_mpc_core *kpirl_mpc_core_init(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_bounds *bounds,
+                                    const kpirl_mpc_model *model, void *memory);
+
+/* Other functions for the same problem, of the same patterns. */
+void kpirl_mpc_core_set_model(kpirl_mpc_core *core, const kpirl_mpc_model *model);
+
+/* A trajectory to start from, x and, for a warm start, costates, net multipliers of the bounds of x (positive at an upper
+ * bound), of h and h_T, and of e and e_T; costates NULL: a cold start. x NULL: from no action. */
+typedef struct kpirl_mpc_start {
+  const real *x, *costates, *bounds, *path, *equality;
+} kpirl_mpc_start;
+
+/* Solve from a start. The solution is core->at, with residuals; multipliers of bounds by kpirl_mpc_bound_multipliers. */
+kpirl_mpc_status kpirl_mpc_core_solve(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers,
+                                      const kpirl_mpc_options *options, const kpirl_mpc_start *start,
+                                      kpirl_mpc_residuals *residuals);
+
+/* Net multipliers (n_w) of the bounds of x, fixed entries included; of a given s_0 the derivative of the optimal value. */
+void kpirl_mpc_bound_multipliers(const kpirl_mpc_core *core, real *net);
+
+/* Where the core keeps what it knows; the addresses may change with every solve. See the structures above. */
+typedef struct kpirl_mpc_view {
+  const real *x, *costates, *path_multipliers, *equality_multipliers; /* of h and h_T; of e and e_T */
+  const real *defects, *path, *equality, *gradient, *F, *G, *E, *H;
+  double objective, tau;
+  int iterations, matrices;
+} kpirl_mpc_view;
+
+void kpirl_mpc_core_view(const kpirl_mpc_core *core, kpirl_mpc_view *view);
+
+/* The second derivatives of the Lagrangian of cost, dynamics and constraints but bounds, at core->at: its gradient r by x;
+ * G (n_h, n_x) and E (n_e, n_x), of s_T behind them; H (n_x, n_x) whole, of s_T (n_s, n_s) behind. */
+void kpirl_mpc_core_derivatives(const kpirl_mpc_core *core, real *r, real *G, real *E, real *H);
+
+/* ---- parts ---- */
+
+/* model: evaluate at core->at into core->d. */
+void kpirl_mpc_evaluate(kpirl_mpc_core *core, int level);
+/* Roll out actions K-free from s_0 in x: states follow the dynamics. */
+void kpirl_mpc_roll_out(kpirl_mpc_core *core, real *x);
+/* Objective, path, equality and defects at x; `path` and the others are arrays as in kpirl_mpc_derivatives. */
+void kpirl_mpc_evaluate_values(kpirl_mpc_core *core, const real *x, real *objective, real *defects, real *path,
+                               real *equality);
+/* The values of a trajectory that follows the dynamics with feedback from core->at, see kpirl_mpc_newton.c. */
+void kpirl_mpc_follow(kpirl_mpc_core *core, real length, real *objective, real *path, real *equality);
+
+/* constraints */
+void kpirl_mpc_inequalities(const kpirl_mpc_core *core, const real *x, const real *path, real *g);
+void kpirl_mpc_equalities(const kpirl_mpc_core *core, const real *x, const real *equality, real *c);
+void kpirl_mpc_gap(const kpirl_mpc_core *core, const real *x, real *gap);
+/* pushed += the bounds' rows' forces; and those of fixed entries */
+void kpirl_mpc_push_bounds(const kpirl_mpc_core *core, const real *forces, const real *fixing, real *pushed);
+/* values += G x and E x over all stages, pushed += G' forces and E' forces */
+void kpirl_mpc_path_times(const kpirl_mpc_core *core, const real *matrix, int rows, int last_rows, const real *x, real *values);
+void kpirl_mpc_path_push(const kpirl_mpc_core *core, const real *matrix, int rows, int last_rows, const real *forces,
+                         real *pushed);
+
+/* start */
+void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x);
+void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, real tau);
+
+/* derivatives */
+void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level);
+void kpirl_mpc_find_residuals(const kpirl_mpc_core *core, real tau, kpirl_mpc_residuals *residuals);
+
+/* newton */
+#define KPIRL_MPC_BOUNDARY ((real)0.99) /* fraction to the boundary of slacks; of multipliers, the smallest one */
+void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation);
+void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least, real most);
+
+/* trial */
+void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit);
+real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length);
+void kpirl_mpc_centre(kpirl_mpc_core *core);
+
+/* curvature: the step becomes such a direction; returns whether there is one */
+int kpirl_mpc_negative_curvature(kpirl_mpc_core *core);
+
+/* filter */
+void kpirl_mpc_start_filter(kpirl_mpc_filter *filter, real theta);
+int kpirl_mpc_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, kpirl_mpc_merit trial);
+
+#endif

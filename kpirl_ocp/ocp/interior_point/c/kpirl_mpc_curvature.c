@@ -1,0 +1,43 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * Directions of negative curvature.
+ */
+#include "kpirl_mpc_core.h"
+
+#include <string.h>
+
+/* A direction along which the Hessian of the last factors is negative, from the most negative pivot: the step becomes
+ *     u_t = W' e_j,  s = 0 before,  u = K s after it,    with curvature -1.
+ * Returns whether there is one. */
+int kpirl_mpc_negative_curvature(kpirl_mpc_core *core) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_x = n_s + n_u;
+  const int m = kpirl_mpc_n_inequalities(core);
+  const kpirl_mpc_factors *factors = &core->factors;
+  kpirl_mpc_iterate *change = &core->step.change;
+  int i, t, worst = -1, stage;
+  for (i = 0; i < T * n_u; ++i)
+    if (factors->pivots[i] < (worst < 0 ? 0 : factors->pivots[worst])) worst = i;
+  if (worst < 0) return 0;
+  stage = worst / n_u;
+  memset(change->x, 0, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
+  memset(change->costates, 0, (size_t)(T * n_s) * sizeof(real));
+  memset(change->nu, 0, (size_t)kpirl_mpc_n_equalities(core) * sizeof(real));
+  memset(change->z, 0, (size_t)m * sizeof(real));
+  for (i = 0; i < n_u; ++i)
+    change->x[stage * n_x + n_s + i] = factors->W[stage * n_u * n_u + worst % n_u + i * n_u];
+  for (t = stage; t < T; ++t) {
+    real *x = change->x + t * n_x;
+    if (t > stage) {
+      kpirl_mpc_gain(n_s, n_u, factors->W + t * n_u * n_u, factors->Y + t * n_u * n_s, factors->pivots + t * n_u,
+                     core->K + n_u * n_s, core->K);
+      kpirl_mpc_times_vector(core->K, n_u, n_s, x, x + n_s);
+    }
+    kpirl_mpc_times_vector(core->d.F + t * n_s * n_x, n_s, n_x, x, x + n_x);
+  }
+  for (i = 0; i < core->n_lower; ++i) change->y[i] = change->x[core->lower[i]];
+  for (i = 0; i < core->n_upper; ++i) change->y[core->n_lower + i] = -change->x[core->upper[i]];
+  memset(change->y + kpirl_mpc_n_bounds(core), 0, (size_t)(m - kpirl_mpc_n_bounds(core)) * sizeof(real));
+  kpirl_mpc_path_times(core, core->d.G, DIM(core, n_path), DIM(core, n_terminal), change->x, change->y + kpirl_mpc_n_bounds(core));
+  for (i = kpirl_mpc_n_bounds(core); i < m; ++i) change->y[i] = -change->y[i];
+  return kpirl_mpc_all_finite(change->x, kpirl_mpc_n_point(core));
+}

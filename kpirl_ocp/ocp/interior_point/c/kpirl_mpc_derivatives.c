@@ -1,0 +1,83 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * What is known at an iterate: derivatives, constraints, residuals.
+ */
+#include "kpirl_mpc_core.h"
+
+#include <string.h>
+
+/* The largest of the gradient of the objective, the costates, the multipliers of h and e, and 1. */
+static real scale_of(const kpirl_mpc_core *core) {
+  const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
+  real sizes[5];
+  sizes[0] = 1;
+  sizes[1] = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
+  sizes[2] = kpirl_mpc_largest(core->at.costates, DIM(core, horizon) * n_s);
+  sizes[3] = kpirl_mpc_largest(core->at.z + kpirl_mpc_n_bounds(core), m - kpirl_mpc_n_bounds(core));
+  sizes[4] = kpirl_mpc_largest(core->at.nu + core->n_fixed, kpirl_mpc_n_equalities(core) - core->n_fixed);
+  return kpirl_mpc_largest(sizes, 5);
+}
+
+static real violation_of(const kpirl_mpc_core *core) {
+  const kpirl_mpc_derivatives *d = &core->d;
+  const int n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
+  real sum = kpirl_mpc_absolute_sum(d->defects, DIM(core, horizon) * n_s) + kpirl_mpc_absolute_sum(d->gap, n_s) +
+             kpirl_mpc_absolute_sum(d->c, kpirl_mpc_n_equalities(core));
+  int i;
+  for (i = 0; i < m; ++i) sum += kpirl_mpc_abs(d->g[i] + core->at.y[i]);
+  return sum;
+}
+
+/* The gradient by s_0 is no condition where s_0 is given. */
+static void forget_start(kpirl_mpc_core *core) {
+  const int n_s = DIM(core, n_states);
+  real *gradient = core->d.gradient;
+  int i;
+  memcpy(core->d.start_gradient, gradient, (size_t)n_s * sizeof(real));
+  memset(gradient, 0, (size_t)n_s * sizeof(real));
+  for (i = 0; i < core->bounds.n_free; ++i)
+    gradient[core->bounds.free_entries[i]] = core->d.start_gradient[core->bounds.free_entries[i]];
+}
+
+void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level) {
+  const kpirl_mpc_iterate *at = &core->at;
+  kpirl_mpc_derivatives *d = &core->d;
+  const int n_h = DIM(core, n_path), n_e = DIM(core, n_equality), n_w = kpirl_mpc_n_point(core);
+  const int m = kpirl_mpc_n_inequalities(core), equalities = kpirl_mpc_n_equalities(core);
+  kpirl_mpc_evaluate(core, level);
+  d->matrices = level == KPIRL_MPC_SECOND;
+  if (d->matrices) {
+    int i;
+    memcpy(d->slope, d->gradient, (size_t)n_w * sizeof(real));
+    for (i = kpirl_mpc_n_bounds(core); i < m; ++i) core->scratch[i - kpirl_mpc_n_bounds(core)] = -at->z[i];
+    kpirl_mpc_path_push(core, d->G, n_h, DIM(core, n_terminal), core->scratch, d->slope);
+    for (i = core->n_fixed; i < equalities; ++i) core->scratch[i - core->n_fixed] = -at->nu[i];
+    kpirl_mpc_path_push(core, d->E, n_e, DIM(core, n_terminal_equality), core->scratch, d->slope);
+  }
+  kpirl_mpc_push_bounds(core, at->z, at->nu, d->gradient);
+  forget_start(core);
+  kpirl_mpc_gap(core, at->x, d->gap);
+  kpirl_mpc_inequalities(core, at->x, d->path, d->g);
+  kpirl_mpc_equalities(core, at->x, d->equality, d->c);
+  d->scale = scale_of(core);
+  d->violation = violation_of(core);
+}
+
+void kpirl_mpc_find_residuals(const kpirl_mpc_core *core, real tau, kpirl_mpc_residuals *residuals) {
+  const kpirl_mpc_derivatives *d = &core->d;
+  const int n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
+  real parts[4] = {0, 0, 0, 0}, complementarity = 0;
+  int i;
+  parts[0] = kpirl_mpc_largest(d->defects, DIM(core, horizon) * n_s);
+  parts[1] = kpirl_mpc_largest(d->gap, n_s);
+  parts[2] = kpirl_mpc_largest(d->c, kpirl_mpc_n_equalities(core));
+  for (i = 0; i < m; ++i) {
+    const real product = kpirl_mpc_abs(-d->g[i] * core->at.z[i] - tau);
+    if (!(product <= complementarity) && !isnan(complementarity)) complementarity = product;
+    if (!(d->g[i] <= parts[3]) && !isnan(parts[3])) parts[3] = d->g[i];
+  }
+  residuals->stationarity = kpirl_mpc_largest(d->gradient, kpirl_mpc_n_point(core));
+  residuals->feasibility = kpirl_mpc_largest(parts, 4);
+  residuals->complementarity = complementarity;
+  residuals->scale = d->scale;
+}

@@ -1,0 +1,50 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * A filter: a step must reduce the objective or the violation of the constraints, and never cycle (Waechter and Biegler, On
+ * the implementation of an interior-point filter line-search algorithm, 2006, section 2.3).
+ */
+#include "kpirl_mpc_core.h"
+
+static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
+static const real VIOLATION = (real)1e-5, OBJECTIVE = (real)1e-8, ARMIJO = (real)1e-4; /* sufficient decreases */
+
+void kpirl_mpc_start_filter(kpirl_mpc_filter *filter, real theta) {
+  filter->largest = (real)1e4 * kpirl_mpc_larger(1, theta);
+  filter->small = (real)1e-4 * kpirl_mpc_larger(1, theta);
+  filter->count = 0;
+}
+
+/* Without the pairs that the new one covers; a full filter forgets its oldest pair. */
+static void add(kpirl_mpc_filter *filter, real theta, real phi) {
+  int i, kept = 0;
+  for (i = 0; i < filter->count; ++i) {
+    if (filter->theta[i] >= theta && filter->phi[i] >= phi) continue;
+    filter->theta[kept] = filter->theta[i];
+    filter->phi[kept++] = filter->phi[i];
+  }
+  if (kept == KPIRL_MPC_FILTER_SIZE) {
+    --kept;
+    for (i = 0; i < kept; ++i) {
+      filter->theta[i] = filter->theta[i + 1];
+      filter->phi[i] = filter->phi[i + 1];
+    }
+  }
+  filter->theta[kept] = theta;
+  filter->phi[kept] = phi;
+  filter->count = kept + 1;
+}
+
+int kpirl_mpc_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, kpirl_mpc_merit trial) {
+  const real tolerated = ROUNDING * kpirl_mpc_abs(before.phi);
+  int i;
+  if (!isfinite(trial.theta) || !isfinite(trial.phi) || trial.theta > filter->largest) return 0;
+  for (i = 0; i < filter->count; ++i)
+    if (trial.theta >= filter->theta[i] && trial.phi - tolerated > filter->phi[i]) return 0;
+  if (slope < 0 && before.theta <= filter->small &&
+      length * kpirl_mpc_power(-slope, (real)2.3) > kpirl_mpc_power(before.theta, (real)1.1))
+    return trial.phi <= before.phi + ARMIJO * length * slope + tolerated;
+  if (!(trial.theta <= (1 - VIOLATION) * before.theta || trial.phi <= before.phi - OBJECTIVE * before.theta + tolerated))
+    return 0;
+  add(filter, (1 - VIOLATION) * before.theta, before.phi - OBJECTIVE * before.theta);
+  return 1;
+}

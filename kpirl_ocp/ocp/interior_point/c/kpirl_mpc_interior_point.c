@@ -1,0 +1,282 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The interior-point method: predictor-corrector steps (Mehrotra, 1992) until the first-order conditions hold, as long as
+ * a filter accepts (Waechter and Biegler, 2006, sections 2.3 and 3.1); or a fixed number of full Newton steps, the
+ * real-time iteration (Diehl et al., 2005). Where pivots of the recursion are not positive, weight on the actions is added.
+ */
+#include "kpirl_mpc_core.h"
+
+#include <string.h>
+
+static const real START = (real)0.3;      /* tau of a cold start, relative to the gradient of the objective there */
+static const real WARM = (real)1e-3;      /* largest tau of a warm start */
+static const real LARGE = (real)100;      /* multipliers above this count as large */
+static const real SHORTEST = (real)1e-10; /* step length below which a line search gives up */
+static const real TINY = (real)1e-14;     /* relative step below which rounding decides, so that it is taken as it is */
+static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
+static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
+
+/* What complementarity may be off: a fifth of the tolerance, in units of the multipliers where these are large. */
+static real close_enough(const kpirl_mpc_core *core) {
+  return (real)core->options.tolerance / 5 * kpirl_mpc_larger(1, core->d.scale / LARGE);
+}
+
+/* The tau to stop at. */
+static real final_tau(const kpirl_mpc_core *core) {
+  return core->options.barrier > 0 ? (real)core->options.barrier : close_enough(core) / 2;
+}
+
+static double worst(const kpirl_mpc_residuals *r) {
+  const double duals = r->stationarity > r->complementarity ? r->stationarity : r->complementarity;
+  if (isnan(r->stationarity) || isnan(r->complementarity) || isnan(r->feasibility)) return (double)NAN;
+  return duals / r->scale > r->feasibility ? duals / r->scale : r->feasibility;
+}
+
+/* Do the conditions hold, and complementarity as if multipliers were at most LARGE? Relative to larger multipliers alone,
+ * the weakest of the active constraints would stay too far from its bound. */
+static int solved(const kpirl_mpc_core *core) {
+  kpirl_mpc_residuals residuals;
+  kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
+  return worst(&residuals) <= core->tolerance && residuals.complementarity <= close_enough(core);
+}
+
+static int finite(const kpirl_mpc_core *core) {
+  const kpirl_mpc_derivatives *d = &core->d;
+  const int n_w = kpirl_mpc_n_point(core);
+  return !core->failed && isfinite(d->objective) && kpirl_mpc_all_finite(d->cost_gradient, n_w) &&
+         kpirl_mpc_all_finite(d->gradient, n_w) &&
+         kpirl_mpc_all_finite(d->defects, DIM(core, horizon) * DIM(core, n_states)) &&
+         kpirl_mpc_all_finite(d->g, kpirl_mpc_n_inequalities(core)) &&
+         kpirl_mpc_all_finite(d->c, kpirl_mpc_n_equalities(core));
+}
+
+static int matrices_finite(const kpirl_mpc_core *core) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
+  const kpirl_mpc_derivatives *d = &core->d;
+  return kpirl_mpc_all_finite(d->F, n_s * n_x * T) && kpirl_mpc_all_finite(d->H, n_x * n_x * T + n_s * n_s) &&
+         kpirl_mpc_all_finite(d->G, T * n_x * DIM(core, n_path) + n_s * DIM(core, n_terminal)) &&
+         kpirl_mpc_all_finite(d->E, T * n_x * DIM(core, n_equality) + n_s * DIM(core, n_terminal_equality));
+}
+
+/* Is the time over? */
+static int late(const kpirl_mpc_core *core) {
+  const kpirl_mpc_options *options = &core->options;
+  return options->now && options->time_limit > 0 && options->now(options->clock) - core->started >= options->time_limit;
+}
+
+/* ---- one iteration ------------------------------------------------------------------------------------------ */
+
+/* The Newton step, with as much regularisation as the pivots ask for; 0 if none is enough. */
+static int find_positive_step(kpirl_mpc_core *core, real regularisation) {
+  real rho = regularisation;
+  while (rho < (real)1e20) {
+    kpirl_mpc_newton_step(core, rho);
+    if (core->step.positive) {
+      if (rho > 0) core->regularisation = rho;
+      return 1;
+    }
+    if (rho > 0)
+      rho *= core->regularisation > 0 ? 8 : 100;
+    else
+      rho = core->regularisation > 0 ? kpirl_mpc_larger(core->regularisation / 3, (real)1e-12) : (real)1e-4;
+  }
+  return 0;
+}
+
+/* Derivative of J - tau sum log y along the step. */
+static real slope_of(const kpirl_mpc_core *core) {
+  const kpirl_mpc_iterate *change = &core->step.change;
+  const int m = kpirl_mpc_n_inequalities(core);
+  real barrier = 0;
+  int i;
+  for (i = 0; i < m; ++i) barrier += change->y[i] / core->at.y[i];
+  return kpirl_mpc_dot(core->d.cost_gradient, change->x, kpirl_mpc_n_point(core)) - core->step.tau * barrier;
+}
+
+static void swap(kpirl_mpc_iterate *a, kpirl_mpc_iterate *b) {
+  const kpirl_mpc_iterate other = *a;
+  *a = *b;
+  *b = other;
+}
+
+/* Go to the trial point; `level` says how much to find out about it. */
+static void arrive(kpirl_mpc_core *core, int level) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  int i;
+  for (i = 0; i < m; ++i) core->trial.z[i] = core->at.z[i] + core->step.dual_length * core->step.change.z[i];
+  swap(&core->at, &core->trial);
+  kpirl_mpc_inequalities(core, core->at.x, core->force + core->n_lower + core->n_upper, core->d.g);
+  kpirl_mpc_centre(core);
+  kpirl_mpc_differentiate(core, level);
+}
+
+/* Move by the longest length that the filter accepts, if there is one. */
+static int move_along(kpirl_mpc_core *core) {
+  const kpirl_mpc_step *step = &core->step;
+  const int n_w = kpirl_mpc_n_point(core);
+  const int tiny = kpirl_mpc_largest(step->change.x, n_w) <= TINY * (1 + kpirl_mpc_largest(core->at.x, n_w));
+  const real slope = slope_of(core);
+  real length = step->primal_length;
+  kpirl_mpc_merit before, trial;
+  before.theta = core->d.violation;
+  before.phi = core->d.objective - step->tau * kpirl_mpc_log_sum(core->at.y, kpirl_mpc_n_inequalities(core));
+  while (length >= SHORTEST) {
+    ++core->trials;
+    kpirl_mpc_try(core, length, core->lifted, &trial);
+    if ((tiny && isfinite(trial.phi)) || kpirl_mpc_accepts(&core->filter, before, slope, length, trial)) {
+      core->step.primal_length = length;
+      arrive(core, KPIRL_MPC_SECOND);
+      return 1;
+    }
+    length = isinf(trial.phi) ? kpirl_mpc_shortened(core, length) : length / 2;
+  }
+  return 0;
+}
+
+/* Move along the corrected step where it is one to a minimum; else along Newton steps, regularised. */
+static int search(kpirl_mpc_core *core) {
+  const real least = final_tau(core);
+  real rho = 0;
+  int attempt;
+  core->trials = 0;
+  kpirl_mpc_corrected_step(core, least, kpirl_mpc_larger(core->tau, least));
+  if (core->step.positive) {
+    if (core->step.tau != core->tau) {
+      core->tau = core->step.tau;
+      kpirl_mpc_start_filter(&core->filter, core->d.violation);
+    }
+    if (move_along(core)) return 1;
+  }
+  for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
+    if (!find_positive_step(core, rho)) return 0;
+    if (move_along(core)) return 1;
+    rho = kpirl_mpc_larger(100 * core->step.regularisation, (real)1e-4);
+  }
+  return 0;
+}
+
+static void log_iteration(const kpirl_mpc_core *core) {
+  const kpirl_mpc_step *step = &core->step;
+  kpirl_mpc_residuals residuals;
+  kpirl_mpc_iteration line;
+  if (!core->options.log) return;
+  kpirl_mpc_find_residuals(core, 0, &residuals);
+  line.iteration = core->iterations;
+  line.trials = core->trials;
+  line.objective = core->d.objective;
+  line.infeasibility = residuals.feasibility;
+  line.dual_infeasibility = residuals.stationarity;
+  line.complementarity = residuals.complementarity;
+  line.tau = core->tau;
+  line.step = kpirl_mpc_largest(step->change.x, kpirl_mpc_n_point(core));
+  line.regularisation = step->regularisation;
+  line.primal_length = step->primal_length;
+  line.dual_length = step->dual_length;
+  core->options.log(core->options.log_to, &line);
+}
+
+/* ---- one solve ---------------------------------------------------------------------------------------------- */
+
+static kpirl_mpc_status why_stuck(const kpirl_mpc_core *core) {
+  kpirl_mpc_residuals residuals;
+  if (!matrices_finite(core)) return KPIRL_MPC_NOT_FINITE;
+  kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
+  return residuals.feasibility > kpirl_mpc_root(core->tolerance) ? KPIRL_MPC_INFEASIBLE : KPIRL_MPC_STALLED;
+}
+
+static kpirl_mpc_status converge(kpirl_mpc_core *core) {
+  for (;; ++core->iterations) {
+    if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
+    if (solved(core)) return KPIRL_MPC_CONVERGED;
+    if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
+    if (late(core)) return KPIRL_MPC_TIME_LIMIT;
+    if (kpirl_mpc_largest(core->at.x, kpirl_mpc_n_point(core)) > FAR) return KPIRL_MPC_DIVERGED;
+    if (!search(core)) return why_stuck(core);
+    log_iteration(core);
+  }
+}
+
+/* Full Newton steps, cut only where a slack or multiplier would become negative. */
+static kpirl_mpc_status advance(kpirl_mpc_core *core) {
+  const int n_w = kpirl_mpc_n_point(core), m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+  const int n_costates = DIM(core, horizon) * DIM(core, n_states);
+  int i;
+  for (; core->iterations < core->options.steps; ++core->iterations) {
+    const kpirl_mpc_iterate *at = &core->at, *change = &core->step.change;
+    real length, objective;
+    if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
+    if (late(core)) return KPIRL_MPC_TIME_LIMIT;
+    if (!find_positive_step(core, 0)) return why_stuck(core);
+    length = core->step.primal_length;
+    for (i = 0; i < n_w; ++i) core->trial.x[i] = at->x[i] + length * change->x[i];
+    for (i = 0; i < n_costates; ++i) core->trial.costates[i] = at->costates[i] + length * change->costates[i];
+    for (i = 0; i < m; ++i) core->trial.y[i] = at->y[i] + length * change->y[i];
+    for (i = 0; i < n_c; ++i) core->trial.nu[i] = at->nu[i] + length * change->nu[i];
+    if (m > core->n_lower + core->n_upper) /* h, for the slacks */
+      kpirl_mpc_evaluate_values(core, core->trial.x, &objective, core->d.defects,
+                                core->force + core->n_lower + core->n_upper, core->d.equality);
+    arrive(core, core->iterations == core->options.steps - 1 ? KPIRL_MPC_FIRST : KPIRL_MPC_SECOND);
+    log_iteration(core);
+  }
+  if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
+  return solved(core) ? KPIRL_MPC_CONVERGED : KPIRL_MPC_STEPS_TAKEN;
+}
+
+/* As small as the guess is good, so that a solution stays one; at most WARM, so that a guess counts. */
+static real warm_barrier(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
+  const real final = (real)core->options.tolerance / 10;
+  kpirl_mpc_residuals residuals;
+  real error;
+  kpirl_mpc_warm_start(core, start, final);
+  kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
+  kpirl_mpc_find_residuals(core, 0, &residuals);
+  error = (real)worst(&residuals);
+  return isfinite(error) ? kpirl_mpc_smaller(kpirl_mpc_larger(error, final), WARM) : WARM;
+}
+
+/* The iterate, its derivatives and a new filter; warm: with the multipliers of the start. */
+static void begin(kpirl_mpc_core *core, const kpirl_mpc_start *start, int warm) {
+  const real barrier = (real)core->options.barrier;
+  const int m = kpirl_mpc_n_inequalities(core);
+  int i;
+  if (warm) {
+    core->tau = barrier > 0 ? barrier : warm_barrier(core, start);
+    kpirl_mpc_warm_start(core, start, core->tau);
+  } else {
+    kpirl_mpc_cold_start(core, start->x);
+    if (barrier <= 0) kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
+    core->tau = barrier > 0 ? barrier : START * core->d.scale;
+    for (i = 0; i < m; ++i) core->at.z[i] = core->tau / core->at.y[i];
+  }
+  core->regularisation = 0;
+  kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
+  kpirl_mpc_start_filter(&core->filter, core->d.violation);
+}
+
+/* A warm start that gets stuck begins again, cold, from its trajectory. */
+static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
+  const int warm = start->costates != NULL;
+  kpirl_mpc_status status;
+  begin(core, start, warm);
+  if (core->options.steps) return advance(core);
+  status = converge(core);
+  if (!warm || (status != KPIRL_MPC_STALLED && status != KPIRL_MPC_INFEASIBLE)) return status;
+  begin(core, start, 0);
+  return converge(core);
+}
+
+kpirl_mpc_status kpirl_mpc_core_solve(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers,
+                                      const kpirl_mpc_options *options, const kpirl_mpc_start *start,
+                                      kpirl_mpc_residuals *residuals) {
+  const real barrier = (real)options->barrier, tolerance = (real)options->tolerance;
+  kpirl_mpc_status status;
+  core->numbers = *numbers;
+  core->options = *options;
+  core->tolerance = tolerance; /* bounds multiplier * slack - tau: it has to be small beside tau */
+  if (barrier > 0) core->tolerance = kpirl_mpc_smaller(tolerance, kpirl_mpc_larger((real)1e-6 * barrier, (real)1e-13));
+  core->iterations = core->trials = core->failed = 0;
+  core->started = options->now ? options->now(options->clock) : 0;
+  status = plan(core, start);
+  kpirl_mpc_find_residuals(core, barrier, residuals);
+  return status;
+}

@@ -1,0 +1,160 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * A tile of z, some vectors of rows times up to five columns, stays in registers while it walks along the columns of x.
+ * Rows that are no multiple of a vector are covered by a last vector that overlaps its neighbour in the same tile.
+ */
+#include "kpirl_mpc_kernels.h"
+
+#if defined(__GNUC__) && defined(__AVX512F__)
+#define VECTOR_BYTES 64
+#define TILE_VECTORS 4
+#elif defined(__GNUC__) && (defined(__AVX__) || defined(__SSE2__) || defined(__ARM_NEON))
+#define VECTOR_BYTES 32
+#define TILE_VECTORS 2
+#endif
+
+#ifdef VECTOR_BYTES
+enum { LANES = VECTOR_BYTES / (int)sizeof(real) };
+typedef real vector __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)), may_alias));
+#define INLINE static inline __attribute__((always_inline))
+#define UNROLL _Pragma("GCC unroll 8")
+
+INLINE void tile(const int vectors, const int columns, const real *x, int rows, int inner, const real *y, real *z, int stride,
+                 int first, int end) {
+  vector sum[5][8];
+  int row[8], v, c, k;
+  UNROLL for (v = 0; v < vectors; ++v) row[v] = v < vectors - 1 ? first + v * LANES : end - LANES;
+  UNROLL for (c = 0; c < columns; ++c)
+    UNROLL for (v = 0; v < vectors; ++v) sum[c][v] = *(const vector *)(z + c * stride + row[v]);
+  for (k = 0; k < inner; ++k)
+    UNROLL for (v = 0; v < vectors; ++v) {
+      const vector a = *(const vector *)(x + k * rows + row[v]);
+      UNROLL for (c = 0; c < columns; ++c) sum[c][v] += a * y[k + c * inner];
+    }
+  UNROLL for (c = 0; c < columns; ++c)
+    UNROLL for (v = 0; v < vectors; ++v) *(vector *)(z + c * stride + row[v]) = sum[c][v];
+}
+
+/* Rows first .. rows of `columns` columns, in tiles of nearly equal height of which the last is the highest. */
+INLINE void panel(const int columns, const int most, const real *x, int rows, int inner, const real *y, real *z, int first) {
+  const int vectors = (rows - first + LANES - 1) / LANES, tiles = (vectors + most - 1) / most;
+  int t;
+  for (t = 0; t < tiles; ++t) {
+    const int height = vectors * (t + 1) / tiles - vectors * t / tiles;
+    const int end = t < tiles - 1 ? first + height * LANES : rows;
+    switch (height) {
+      case 1: tile(1, columns, x, rows, inner, y, z, rows, first, end); break;
+      case 2: tile(2, columns, x, rows, inner, y, z, rows, first, end); break;
+      case 3: if (most > 2) tile(3, columns, x, rows, inner, y, z, rows, first, end); break;
+      case 4: if (most > 2) tile(4, columns, x, rows, inner, y, z, rows, first, end); break;
+    }
+    first = end;
+  }
+}
+
+/* Fewer rows than a vector has: one column at a time in registers. */
+INLINE void low(const int rows, const real *restrict x, int inner, const real *restrict y, int columns, real *restrict z) {
+  int i, j, k;
+  for (j = 0; j < columns; ++j, y += inner, z += rows) {
+    real sum[8];
+    UNROLL for (i = 0; i < rows; ++i) sum[i] = z[i];
+    for (k = 0; k < inner; ++k) UNROLL for (i = 0; i < rows; ++i) sum[i] += x[k * rows + i] * y[k];
+    UNROLL for (i = 0; i < rows; ++i) z[i] = sum[i];
+  }
+}
+
+static void few_rows(const real *x, int rows, int inner, const real *y, int columns, real *z) {
+  switch (rows) {
+    case 1: low(1, x, inner, y, columns, z); break;
+    case 2: low(2, x, inner, y, columns, z); break;
+    case 3: low(3, x, inner, y, columns, z); break;
+    case 4: low(4, x, inner, y, columns, z); break;
+    case 5: low(5, x, inner, y, columns, z); break;
+    case 6: low(6, x, inner, y, columns, z); break;
+    case 7: low(7, x, inner, y, columns, z); break;
+  }
+}
+
+void kpirl_mpc_times(const real *x, int rows, int inner, const real *y, int columns, real *z) {
+  int j = 0;
+  if (rows < LANES) {
+    few_rows(x, rows, inner, y, columns, z);
+    return;
+  }
+#define PANELS(width) for (; j + width <= columns; j += width) panel(width, TILE_VECTORS, x, rows, inner, y + j * inner, z + j * rows, 0);
+  PANELS(5)
+  PANELS(4)
+  PANELS(3)
+  PANELS(2)
+  PANELS(1)
+#undef PANELS
+}
+
+void kpirl_mpc_times_lower(const real *x, int rows, int inner, const real *y, real *z) {
+  int j = 0;
+  if (rows < LANES) {
+    few_rows(x, rows, inner, y, rows, z);
+    return;
+  }
+#define PANELS(width) \
+  for (; j + width <= rows; j += width) \
+    panel(width, TILE_VECTORS, x, rows, inner, y + j * inner, z + j * rows, j < rows - LANES ? j : rows - LANES);
+  PANELS(5)
+  PANELS(4)
+  PANELS(3)
+  PANELS(2)
+  PANELS(1)
+#undef PANELS
+}
+
+#else /* no vectors */
+
+void kpirl_mpc_times(const real *restrict x, int rows, int inner, const real *restrict y, int columns, real *restrict z) {
+  int i, j, k;
+  for (j = 0; j < columns; ++j)
+    for (k = 0; k < inner; ++k)
+      for (i = 0; i < rows; ++i) z[i + j * rows] += x[i + k * rows] * y[k + j * inner];
+}
+
+void kpirl_mpc_times_lower(const real *restrict x, int rows, int inner, const real *restrict y, real *restrict z) {
+  int i, j, k;
+  for (j = 0; j < rows; ++j)
+    for (k = 0; k < inner; ++k)
+      for (i = j; i < rows; ++i) z[i + j * rows] += x[i + k * rows] * y[k + j * inner];
+}
+
+#endif
+
+void kpirl_mpc_times_vector(const real *a, int rows, int columns, const real *x, real *y) {
+  kpirl_mpc_times(a, rows, columns, x, 1, y);
+}
+
+void kpirl_mpc_transposed_times_vector(const real *restrict a, int rows, int columns, const real *restrict x,
+                                       real *restrict y) {
+  int j;
+  for (j = 0; j < columns; ++j) y[j] += kpirl_mpc_dot(a + j * rows, x, rows);
+}
+
+void kpirl_mpc_symmetric_times_vector(const real *restrict a, int n, const real *restrict x, real *restrict y) {
+  int i, j;
+  for (j = 0; j < n; ++j) {
+    real sum = a[j + j * n] * x[j];
+    for (i = j + 1; i < n; ++i) {
+      y[i] += a[i + j * n] * x[j];
+      sum += a[i + j * n] * x[i];
+    }
+    y[j] += sum;
+  }
+}
+
+void kpirl_mpc_transpose(const real *restrict a, int rows, int columns, real *restrict transposed) {
+  int i, j;
+  for (j = 0; j < columns; ++j)
+    for (i = 0; i < rows; ++i) transposed[j + i * columns] = a[i + j * rows];
+}
+
+void kpirl_mpc_mirror(real *a, int n) {
+  int i, j;
+  for (j = 0; j < n; ++j)
+    for (i = j + 1; i < n; ++i) a[j + i * n] = a[i + j * n];
+}

@@ -1,0 +1,34 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * What the method's shared library adds for its user in Python: functions that are evaluated by CasADi.
+ */
+#ifndef KPIRL_MPC_LIBRARY_H
+#define KPIRL_MPC_LIBRARY_H
+
+#include "kpirl_mpc_core.h"
+
+/* An expression that CasADi's virtual machine evaluates on fixed arrays: `evaluate(buffer)`, then `status(buffer)`. */
+typedef struct kpirl_mpc_buffered {
+  void (*evaluate)(void *buffer);
+  int (*status)(void *buffer);
+  void *buffer;
+  int n_in, n_out;
+  const int *size_in, *size_out;
+  real *const *in, *const *out;
+} kpirl_mpc_buffered;
+
+int kpirl_mpc_evaluate_buffered(void *self, const real *const *arguments, real *const *results);
+
+/* Machine code with CasADi's calling convention, and the memory that it works in. */
+typedef struct kpirl_mpc_compiled {
+  int (*evaluate)(const real **arguments, real **results, long long *integers, real *reals, int memory);
+  int n_in, n_out;
+  const real **arguments;
+  real **results;
+  long long *integers;
+  real *reals;
+} kpirl_mpc_compiled;
+
+int kpirl_mpc_evaluate_compiled(void *self, const real *const *arguments, real *const *results);
+
+#endif

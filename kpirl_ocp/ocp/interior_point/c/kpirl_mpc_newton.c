@@ -1,0 +1,184 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * Newton steps of the primal-dual interior-point method. On the perturbed conditions
+ *
+ *     grad L = 0,   g + y = 0,   y z = tau,   c = 0,   dynamics,
+ *
+ * y, z and nu are eliminated, which leaves the linear-quadratic problem of kpirl_mpc_recursion.h with
+ *
+ *     H + G' (z/y) G + E' E / delta + rho R,    gradient + G' (tau/y + z/y (g + y)) + E' (nu + c / delta).
+ *
+ * R is the identity of the actions and of free entries of s_0: enough of it makes the reduced Hessian positive. Equalities
+ * are those of the proximal method of multipliers: exact where the method converges, and never singular.
+ */
+#include "kpirl_mpc_core.h"
+
+#include <string.h>
+
+static const real PROXIMAL = (real)1e-9;  /* delta */
+static const real CORRECTED = (real)0.5;  /* length of the first step from which the second order is believed */
+
+/* ---- the linear-quadratic problem --------------------------------------------------------------------------- */
+
+/* M (n, n), its lower triangle, += sum_r weight_r a_r a_r' for the columns a_r of `columns` (n, rows). */
+static void add_rows(const real *columns, int n, int rows, const real *weights, real *M) {
+  int i, j, r;
+  for (r = 0; r < rows; ++r) {
+    const real *restrict a = columns + r * n;
+    for (j = 0; j < n; ++j) {
+      const real factor = weights[r] * a[j];
+      if (factor == 0) continue;
+      for (i = j; i < n; ++i) M[i + j * n] += factor * a[i];
+    }
+  }
+}
+
+/* M: the condensed Hessian of stage t; diagonal: what bounds and regularisation add to all of x. */
+static void condense(const kpirl_mpc_core *core, int t, const real *diagonal, real *M) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
+  const int n_h = DIM(core, n_path), n_e = DIM(core, n_equality), last = t == T, n = last ? n_s : n_x;
+  const kpirl_mpc_derivatives *d = &core->d;
+  int i, j;
+  memcpy(M, d->H + t * n_x * n_x, (size_t)n * n * sizeof(real));
+  for (i = 0; i < n; ++i) M[i + i * n] += diagonal[t * n_x + i];
+  add_rows(d->G + t * n_x * n_h, n, last ? DIM(core, n_terminal) : n_h, core->weights + kpirl_mpc_n_bounds(core) + t * n_h, M);
+  if (n_e + DIM(core, n_terminal_equality) > 0) {
+    const int rows = last ? DIM(core, n_terminal_equality) : n_e;
+    const real weight = 1 / PROXIMAL;
+    for (j = 0; j < rows; ++j) add_rows(d->E + t * n_x * n_e + j * n, n, 1, &weight, M);
+  }
+}
+
+static int all_positive(const real *pivots, int count) {
+  int i;
+  for (i = 0; i < count; ++i)
+    if (!(pivots[i] > 0) || !isfinite(pivots[i])) return 0;
+  return 1;
+}
+
+/* The factors of the condensed Hessian; returns whether it is positive along the dynamics. */
+static int factorise(kpirl_mpc_core *core, real regularisation) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_x = n_s + n_u;
+  const int m = kpirl_mpc_n_inequalities(core), n_free = core->bounds.n_free;
+  kpirl_mpc_factors *factors = &core->factors;
+  real *diagonal = core->right;
+  int i, t;
+  memset(diagonal, 0, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
+  for (i = 0; i < m; ++i) core->weights[i] = core->at.z[i] / core->at.y[i];
+  for (i = 0; i < core->n_lower; ++i) diagonal[core->lower[i]] += core->weights[i];
+  for (i = 0; i < core->n_upper; ++i) diagonal[core->upper[i]] += core->weights[core->n_lower + i];
+  for (i = 0; i < core->n_fixed; ++i) diagonal[core->fixed[i]] += 1 / PROXIMAL;
+  for (t = 0; t < T; ++t)
+    for (i = n_s; i < n_x; ++i) diagonal[t * n_x + i] += regularisation;
+  for (i = 0; i < n_free; ++i) diagonal[core->bounds.free_entries[i]] += regularisation;
+  condense(core, T, diagonal, factors->P + T * n_s * n_s);
+  kpirl_mpc_mirror(factors->P + T * n_s * n_s, n_s);
+  for (t = T - 1; t >= 0; --t) {
+    condense(core, t, diagonal, core->M);
+    kpirl_mpc_factor_stage(n_s, n_u, factors->P + (t + 1) * n_s * n_s, core->d.F + t * n_s * n_x, core->M, core->scratch,
+                           factors->P + t * n_s * n_s, factors->W + t * n_u * n_u, factors->Y + t * n_u * n_s,
+                           factors->pivots + t * n_u);
+  }
+  if (n_free > 0) kpirl_mpc_factor_start(n_s, n_free, core->bounds.free_entries, factors->P, core->scratch, factors);
+  return all_positive(factors->pivots, T * n_u) && all_positive(factors->free_pivots, n_free);
+}
+
+/* The step for these factors and core->target, what y z is to become. */
+static void solve(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_w = kpirl_mpc_n_point(core);
+  const int n_h = DIM(core, n_path), n_e = DIM(core, n_equality), n_hT = DIM(core, n_terminal);
+  const int n_eT = DIM(core, n_terminal_equality), m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+  const kpirl_mpc_derivatives *d = &core->d;
+  const kpirl_mpc_iterate *at = &core->at;
+  real *fixing = change->nu;
+  int i;
+  for (i = 0; i < m; ++i) core->force[i] = core->target[i] / at->y[i] + core->weights[i] * (d->g[i] + at->y[i]);
+  for (i = 0; i < n_c; ++i) fixing[i] = at->nu[i] + d->c[i] / PROXIMAL;
+  memcpy(core->right, d->slope, (size_t)n_w * sizeof(real));
+  kpirl_mpc_push_bounds(core, core->force, fixing, core->right);
+  kpirl_mpc_path_push(core, d->G, n_h, n_hT, core->force + kpirl_mpc_n_bounds(core), core->right);
+  kpirl_mpc_path_push(core, d->E, n_e, n_eT, fixing + core->n_fixed, core->right);
+  kpirl_mpc_substitute(T, n_s, n_u, core->bounds.n_free, core->bounds.free_entries, d->F, &core->factors, core->right,
+                       d->defects, d->gap, core->scratch, change->x, change->costates);
+  for (i = 0; i < core->n_lower; ++i) change->z[i] = -change->x[core->lower[i]];
+  for (i = 0; i < core->n_upper; ++i) change->z[core->n_lower + i] = change->x[core->upper[i]];
+  memset(change->z + kpirl_mpc_n_bounds(core), 0, (size_t)(m - kpirl_mpc_n_bounds(core)) * sizeof(real));
+  kpirl_mpc_path_times(core, d->G, n_h, n_hT, change->x, change->z + kpirl_mpc_n_bounds(core)); /* dg, so far */
+  for (i = 0; i < m; ++i) {
+    const real dg = change->z[i];
+    change->y[i] = -(d->g[i] + at->y[i]) - dg;
+    change->z[i] = core->force[i] + core->weights[i] * dg - at->z[i];
+  }
+  for (i = 0; i < core->n_fixed; ++i) change->nu[i] = (d->c[i] + change->x[core->fixed[i]]) / PROXIMAL;
+  memcpy(change->nu + core->n_fixed, d->c + core->n_fixed, (size_t)(n_c - core->n_fixed) * sizeof(real));
+  kpirl_mpc_path_times(core, d->E, n_e, n_eT, change->x, change->nu + core->n_fixed);
+  for (i = core->n_fixed; i < n_c; ++i) change->nu[i] /= PROXIMAL;
+}
+
+/* The longest step in (0, 1] that keeps value + length * change at least (1 - share) value; value > 0. */
+static real longest(const real *value, const real *change, int count, real share) {
+  real most = share;
+  int i;
+  for (i = 0; i < count; ++i) {
+    const real ratio = -change[i] / value[i];
+    most = ratio > most ? ratio : most;
+  }
+  return kpirl_mpc_smaller(1, share / most);
+}
+
+/* ---- steps -------------------------------------------------------------------------------------------------- */
+
+static void limit_lengths(kpirl_mpc_core *core, real regularisation) {
+  kpirl_mpc_step *step = &core->step;
+  const int m = kpirl_mpc_n_inequalities(core);
+  step->primal_length = longest(core->at.y, step->change.y, m, KPIRL_MPC_BOUNDARY);
+  step->dual_length = longest(core->at.z, step->change.z, m, kpirl_mpc_larger(KPIRL_MPC_BOUNDARY, 1 - step->tau));
+  step->regularisation = regularisation;
+  step->positive = step->positive && kpirl_mpc_all_finite(step->change.x, kpirl_mpc_n_point(core));
+}
+
+void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  int i;
+  core->step.tau = core->tau;
+  core->step.positive = factorise(core, regularisation);
+  if (!core->step.positive) return;
+  for (i = 0; i < m; ++i) core->target[i] = core->tau;
+  solve(core, &core->step.change);
+  limit_lengths(core, regularisation);
+}
+
+/* mu = y . z / m after a step of these lengths. */
+static real complementarity_after(const kpirl_mpc_core *core, const kpirl_mpc_iterate *change, real primal, real dual) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  real sum = 0;
+  int i;
+  for (i = 0; i < m; ++i) sum += (core->at.y[i] + primal * change->y[i]) * (core->at.z[i] + dual * change->z[i]);
+  return sum / m;
+}
+
+/* Mehrotra's predictor and corrector (1992): a first step towards tau = least shows how small mu can become while y and z
+ * stay positive; then tau = mu (mu_first / mu)^3 within [least, most], and y dz + z dy + dy_first dz_first = tau - y z with the
+ * same factors. The correction supposes that most of the first step can be taken, and is left out where it can not. */
+void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least, real most) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  kpirl_mpc_iterate *first = &core->first.change;
+  int i;
+  core->step.tau = least;
+  core->step.positive = factorise(core, 0);
+  if (!core->step.positive) return;
+  for (i = 0; i < m; ++i) core->target[i] = least;
+  if (m > 0) {
+    real primal, dual, mu, share;
+    solve(core, first);
+    primal = longest(core->at.y, first->y, m, 1);
+    dual = longest(core->at.z, first->z, m, 1);
+    mu = complementarity_after(core, first, 0, 0);
+    share = complementarity_after(core, first, primal, dual) / mu;
+    core->step.tau = kpirl_mpc_larger(least, kpirl_mpc_smaller(most, mu * share * share * share));
+    share = kpirl_mpc_smaller(primal, dual) > CORRECTED ? 1 : 0;
+    for (i = 0; i < m; ++i) core->target[i] = core->step.tau - share * first->y[i] * first->z[i];
+  }
+  solve(core, &core->step.change);
+  limit_lengths(core, 0);
+}

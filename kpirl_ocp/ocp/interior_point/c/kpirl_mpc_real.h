@@ -1,0 +1,38 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The number type, and small mathematics on arrays. A maximum here is NaN when a number is.
+ */
+#ifndef KPIRL_MPC_REAL_H
+#define KPIRL_MPC_REAL_H
+
+#include <float.h>
+#include <math.h>
+
+#ifdef KPIRL_MPC_FLOAT
+typedef float kpirl_mpc_real;
+#define KPIRL_MPC_EPSILON FLT_EPSILON
+#define KPIRL_MPC_LARGEST_NUMBER FLT_MAX
+#define KPIRL_MPC_MATH(name) name##f
+#else
+typedef double kpirl_mpc_real;
+#define KPIRL_MPC_EPSILON DBL_EPSILON
+#define KPIRL_MPC_LARGEST_NUMBER DBL_MAX
+#define KPIRL_MPC_MATH(name) name
+#endif
+
+typedef kpirl_mpc_real real;
+
+static inline real kpirl_mpc_larger(real a, real b) { return a > b ? a : b; }
+static inline real kpirl_mpc_smaller(real a, real b) { return a < b ? a : b; }
+static inline real kpirl_mpc_abs(real a) { return KPIRL_MPC_MATH(fabs)(a); }
+static inline real kpirl_mpc_root(real a) { return KPIRL_MPC_MATH(sqrt)(a); }
+static inline real kpirl_mpc_power(real a, real b) { return KPIRL_MPC_MATH(pow)(a, b); }
+
+int kpirl_mpc_all_finite(const real *values, int count);
+real kpirl_mpc_largest(const real *values, int count); /* of the absolute values; 0 for none */
+real kpirl_mpc_absolute_sum(const real *values, int count);
+real kpirl_mpc_dot(const real *a, const real *b, int count);
+void kpirl_mpc_axpy(real factor, const real *x, int count, real *y); /* y += factor x */
+real kpirl_mpc_log_sum(const real *values, int count);               /* of logarithms */
+
+#endif

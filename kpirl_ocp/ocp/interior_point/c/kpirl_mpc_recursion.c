@@ -1,0 +1,147 @@
+/* SPDX-License-Identifier: MIT */
+#include "kpirl_mpc_recursion.h"
+
+#include <string.h>
+
+static real sign(real a) { return (real)((a > 0) - (a < 0)); }
+
+void kpirl_mpc_inverse_root(real *A, int n, real *W, real *pivots) {
+  int i, j, k;
+  for (j = 0; j < n; ++j) { /* A = L D L', L below the diagonal of A */
+    real pivot = A[j + j * n];
+    for (k = 0; k < j; ++k) pivot -= A[j + k * n] * A[j + k * n] * pivots[k];
+    pivots[j] = pivot;
+    for (i = j + 1; i < n; ++i) {
+      real entry = A[i + j * n];
+      for (k = 0; k < j; ++k) entry -= A[i + k * n] * A[j + k * n] * pivots[k];
+      A[i + j * n] = entry / pivot;
+    }
+  }
+  memset(W, 0, (size_t)n * n * sizeof(real));
+  for (i = 0; i < n; ++i) { /* L^{-1} */
+    W[i + i * n] = 1;
+    for (j = 0; j < i; ++j) {
+      real entry = 0;
+      for (k = j; k < i; ++k) entry -= A[i + k * n] * W[k + j * n];
+      W[i + j * n] = entry;
+    }
+  }
+  for (i = 0; i < n; ++i) {
+    const real scale = 1 / kpirl_mpc_root(kpirl_mpc_abs(pivots[i]));
+    for (j = 0; j <= i; ++j) W[i + j * n] *= scale;
+  }
+}
+
+int kpirl_mpc_stage_scratch(int n_s, int n_u) {
+  const int n_x = n_s + n_u;
+  return 2 * n_s * n_x + n_u * n_u + 3 * n_u * n_s;
+}
+
+void kpirl_mpc_factor_stage(int n_s, int n_u, const real *P_next, const real *F, real *M, real *scratch, real *P, real *W,
+                            real *Y, real *pivots) {
+  const int n_x = n_s + n_u;
+  real *PF = scratch, *Ft = PF + n_s * n_x, *M_uu = Ft + n_s * n_x, *M_us = M_uu + n_u * n_u, *Yt = M_us + n_u * n_s,
+       *JY = Yt + n_u * n_s;
+  int i, j;
+  memset(PF, 0, (size_t)n_s * n_x * sizeof(real));
+  kpirl_mpc_times(P_next, n_s, n_s, F, n_x, PF);
+  kpirl_mpc_transpose(F, n_s, n_x, Ft);
+  kpirl_mpc_times_lower(Ft, n_x, n_s, PF, M);
+  for (j = 0; j < n_s; ++j) memcpy(P + j * n_s + j, M + j * n_x + j, (size_t)(n_s - j) * sizeof(real));
+  if (n_u > 0) {
+    for (j = 0; j < n_u; ++j)
+      for (i = j; i < n_u; ++i) M_uu[i + j * n_u] = M[(n_s + i) + (n_s + j) * n_x];
+    for (j = 0; j < n_s; ++j) memcpy(M_us + j * n_u, M + j * n_x + n_s, (size_t)n_u * sizeof(real));
+    kpirl_mpc_inverse_root(M_uu, n_u, W, pivots);
+    memset(Y, 0, (size_t)n_u * n_s * sizeof(real));
+    kpirl_mpc_times(W, n_u, n_u, M_us, n_s, Y);
+    kpirl_mpc_transpose(Y, n_u, n_s, Yt);
+    for (j = 0; j < n_s; ++j)
+      for (i = 0; i < n_u; ++i) JY[i + j * n_u] = -sign(pivots[i]) * Y[i + j * n_u];
+    kpirl_mpc_times_lower(Yt, n_s, n_u, JY, P);
+  }
+  kpirl_mpc_mirror(P, n_s);
+}
+
+void kpirl_mpc_factor_start(int n_s, int n_free, const int *free, const real *P_0, real *scratch,
+                            kpirl_mpc_factors *factors) {
+  int i, j;
+  for (j = 0; j < n_free; ++j)
+    for (i = 0; i < n_free; ++i) scratch[i + j * n_free] = P_0[free[i] + free[j] * n_s];
+  kpirl_mpc_inverse_root(scratch, n_free, factors->free_W, factors->free_pivots);
+}
+
+/* y = -W' J (v), of length n. work: n numbers. */
+static void apply_root(const real *W, const real *pivots, int n, const real *v, real *work, real *y) {
+  int i;
+  for (i = 0; i < n; ++i) work[i] = -sign(pivots[i]) * v[i];
+  memset(y, 0, (size_t)n * sizeof(real));
+  kpirl_mpc_transposed_times_vector(W, n, n, work, y);
+}
+
+int kpirl_mpc_substitute_scratch(int horizon, int n_s, int n_u) {
+  return (horizon + 1) * n_s + horizon * n_u + 3 * (n_s + n_u);
+}
+
+/* The entries of s_0 that are not given: the minimum of 1/2 s' P_0 s + p_0' s in them. */
+static void start_free(int n_s, int n_free, const int *free, const kpirl_mpc_factors *factors, const real *p, real *work,
+                       real *s) {
+  real *slope = work, *root = work + n_free, *change = work + 2 * n_free;
+  int i, j;
+  for (i = 0; i < n_free; ++i) s[free[i]] = 0;
+  for (i = 0; i < n_free; ++i) {
+    slope[i] = p[free[i]];
+    for (j = 0; j < n_s; ++j) slope[i] += factors->P[free[i] + j * n_s] * s[j];
+  }
+  memset(root, 0, (size_t)n_free * sizeof(real));
+  kpirl_mpc_times_vector(factors->free_W, n_free, n_free, slope, root);
+  apply_root(factors->free_W, factors->free_pivots, n_free, root, slope, change);
+  for (i = 0; i < n_free; ++i) s[free[i]] = change[i];
+}
+
+void kpirl_mpc_substitute(int horizon, int n_s, int n_u, int n_free, const int *free, const real *F,
+                          const kpirl_mpc_factors *factors, const real *q, const real *d, const real *start, real *scratch,
+                          real *x, real *costates) {
+  const int n_x = n_s + n_u;
+  const size_t square = (size_t)n_s * n_s;
+  real *p = scratch, *v = p + (horizon + 1) * n_s, *m = v + horizon * n_u, *work = m + n_x;
+  int i, t;
+  memcpy(p + horizon * n_s, q + horizon * n_x, (size_t)n_s * sizeof(real));
+  for (t = horizon - 1; t >= 0; --t) {
+    const real *F_t = F + (size_t)t * n_s * n_x, *Y = factors->Y + (size_t)t * n_u * n_s, *pivots = factors->pivots + t * n_u;
+    real *v_t = v + t * n_u, *p_t = p + t * n_s;
+    memcpy(work, p_t + n_s, (size_t)n_s * sizeof(real));
+    kpirl_mpc_times_vector(factors->P + (t + 1) * square, n_s, n_s, d + t * n_s, work);
+    memcpy(m, q + t * n_x, (size_t)n_x * sizeof(real));
+    kpirl_mpc_transposed_times_vector(F_t, n_s, n_x, work, m);
+    memcpy(p_t, m, (size_t)n_s * sizeof(real));
+    if (n_u == 0) continue;
+    memset(v_t, 0, (size_t)n_u * sizeof(real));
+    kpirl_mpc_times_vector(factors->W + (size_t)t * n_u * n_u, n_u, n_u, m + n_s, v_t);
+    for (i = 0; i < n_u; ++i) work[i] = -sign(pivots[i]) * v_t[i];
+    kpirl_mpc_transposed_times_vector(Y, n_u, n_s, work, p_t);
+  }
+  memcpy(x, start, (size_t)n_s * sizeof(real));
+  if (n_free > 0) start_free(n_s, n_free, free, factors, p, m, x);
+  for (t = 0; t < horizon; ++t) {
+    const real *F_t = F + (size_t)t * n_s * n_x, *Y = factors->Y + (size_t)t * n_u * n_s;
+    real *x_t = x + t * n_x, *next = x_t + n_x, *v_t = v + t * n_u;
+    if (n_u > 0) {
+      kpirl_mpc_times_vector(Y, n_u, n_s, x_t, v_t);
+      apply_root(factors->W + (size_t)t * n_u * n_u, factors->pivots + t * n_u, n_u, v_t, work, x_t + n_s);
+    }
+    memcpy(next, d + t * n_s, (size_t)n_s * sizeof(real));
+    kpirl_mpc_times_vector(F_t, n_s, n_x, x_t, next);
+    memcpy(costates + t * n_s, p + (t + 1) * n_s, (size_t)n_s * sizeof(real));
+    kpirl_mpc_times_vector(factors->P + (t + 1) * square, n_s, n_s, next, costates + t * n_s);
+  }
+}
+
+void kpirl_mpc_gain(int n_s, int n_u, const real *W, const real *Y, const real *pivots, real *scratch, real *K) {
+  int i, j;
+  for (j = 0; j < n_s; ++j) {
+    for (i = 0; i < n_u; ++i) scratch[i] = -sign(pivots[i]) * Y[i + j * n_u];
+    memset(K + j * n_u, 0, (size_t)n_u * sizeof(real));
+    kpirl_mpc_transposed_times_vector(W, n_u, n_u, scratch, K + j * n_u);
+  }
+}

@@ -1,0 +1,70 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * Where the method starts: inside the bounds, with slacks and multipliers.
+ */
+#include "kpirl_mpc_core.h"
+
+#include <string.h>
+
+static const real PUSH = (real)1e-2; /* how far a cold start is moved inside its bounds, relative to size and distance */
+
+/* x inside its bounds (Waechter and Biegler, 2006, section 3.6), and onto them where they coincide. */
+static void move_inside(const kpirl_mpc_core *core, real *x) {
+  const real *lower = core->bounds.lower, *upper = core->bounds.upper;
+  int side, i;
+  for (side = 0; side < 2; ++side)
+    for (i = 0; i < (side ? core->n_upper : core->n_lower); ++i) {
+      const int entry = side ? core->upper[i] : core->lower[i];
+      const real size = kpirl_mpc_larger(1, kpirl_mpc_abs(side ? upper[entry] : lower[entry]));
+      const real margin = PUSH * kpirl_mpc_smaller(size, upper[entry] - lower[entry]);
+      x[entry] = side ? kpirl_mpc_smaller(x[entry], upper[entry] - margin) : kpirl_mpc_larger(x[entry], lower[entry] + margin);
+    }
+  for (i = 0; i < core->n_fixed; ++i) x[core->fixed[i]] = lower[core->fixed[i]];
+}
+
+/* g at core->at.x, into core->d.g. */
+static void evaluate_inequalities(kpirl_mpc_core *core) {
+  real objective;
+  kpirl_mpc_evaluate_values(core, core->at.x, &objective, core->d.defects, core->d.path, core->d.equality);
+  kpirl_mpc_inequalities(core, core->at.x, core->d.path, core->d.g);
+}
+
+void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x) {
+  kpirl_mpc_iterate *at = &core->at;
+  const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
+  const int bounds = core->n_lower + core->n_upper;
+  int i;
+  if (x) {
+    memmove(at->x, x, (size_t)n_w * sizeof(real));
+  } else {
+    memset(at->x, 0, (size_t)n_w * sizeof(real));
+    memcpy(at->x, core->numbers.s0, (size_t)n_s * sizeof(real));
+    kpirl_mpc_roll_out(core, at->x);
+  }
+  move_inside(core, at->x);
+  memset(at->costates, 0, (size_t)(DIM(core, horizon) * n_s) * sizeof(real));
+  memset(at->nu, 0, (size_t)kpirl_mpc_n_equalities(core) * sizeof(real));
+  memset(at->z, 0, (size_t)m * sizeof(real));
+  evaluate_inequalities(core);
+  for (i = 0; i < m; ++i) at->y[i] = i < bounds ? -core->d.g[i] : kpirl_mpc_larger(-core->d.g[i], PUSH);
+}
+
+void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, real tau) {
+  kpirl_mpc_iterate *at = &core->at;
+  const int T = DIM(core, horizon), m = kpirl_mpc_n_inequalities(core), bounds = core->n_lower + core->n_upper;
+  int i;
+  memmove(at->x, start->x, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
+  memmove(at->costates, start->costates, (size_t)(T * DIM(core, n_states)) * sizeof(real));
+  for (i = 0; i < core->n_fixed; ++i) at->nu[i] = start->bounds[core->fixed[i]];
+  memmove(at->nu + core->n_fixed, start->equality, (size_t)(kpirl_mpc_n_equalities(core) - core->n_fixed) * sizeof(real));
+  for (i = 0; i < core->n_lower; ++i) at->z[i] = kpirl_mpc_larger(-start->bounds[core->lower[i]], 0);
+  for (i = 0; i < core->n_upper; ++i) at->z[core->n_lower + i] = kpirl_mpc_larger(start->bounds[core->upper[i]], 0);
+  for (i = bounds; i < m; ++i) at->z[i] = kpirl_mpc_larger(start->path[i - bounds], 0);
+  evaluate_inequalities(core);
+  for (i = 0; i < m; ++i) {
+    const real g = core->d.g[i], root = kpirl_mpc_root(tau);
+    const real least = at->z[i] > 0 ? kpirl_mpc_smaller(tau / at->z[i], root) : root;
+    at->y[i] = isnan(g) ? g : kpirl_mpc_larger(-g, least);
+    at->z[i] = kpirl_mpc_larger(at->z[i], tau / at->y[i]);
+  }
+}

@@ -1,0 +1,73 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * Trial points of a line search, and what is made of the one that is taken.
+ */
+#include "kpirl_mpc_core.h"
+
+#include <string.h>
+
+static const real REMAINDER = (real)0.1;  /* a trial may end this much closer to the boundary than its linearisation */
+static const real CENTRE = (real)1e10;    /* slack * multiplier stays within this factor of tau */
+
+/* Lifted: x + length dx, as in multiple shooting, with the defects that the dynamics leave there. Else along the dynamics. */
+void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit) {
+  const kpirl_mpc_derivatives *d = &core->d;
+  const kpirl_mpc_iterate *at = &core->at, *change = &core->step.change;
+  kpirl_mpc_iterate *trial = &core->trial;
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_w = kpirl_mpc_n_point(core);
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core), bounds = kpirl_mpc_n_bounds(core);
+  const real least = REMAINDER * (1 - KPIRL_MPC_BOUNDARY);
+  real *path = core->force + bounds, *equality = trial->nu + core->n_fixed, *g = trial->z;
+  real objective = 0, theta;
+  int i, outside = 0;
+  if (lifted) {
+    for (i = 0; i < n_w; ++i) trial->x[i] = at->x[i] + length * change->x[i];
+    kpirl_mpc_evaluate_values(core, trial->x, &objective, trial->costates, path, equality);
+    theta = kpirl_mpc_absolute_sum(trial->costates, T * n_s);
+  } else {
+    kpirl_mpc_follow(core, length, &objective, path, equality);
+    theta = (1 - length) * kpirl_mpc_absolute_sum(d->defects, T * n_s);
+  }
+  kpirl_mpc_gap(core, trial->x, core->start);
+  theta += kpirl_mpc_absolute_sum(core->start, n_s);
+  kpirl_mpc_equalities(core, trial->x, equality, trial->nu);
+  theta += kpirl_mpc_absolute_sum(trial->nu, n_c);
+  kpirl_mpc_inequalities(core, trial->x, path, g);
+  for (i = 0; i < m; ++i) {
+    trial->y[i] = i < bounds ? (1 - length) * (d->g[i] + at->y[i]) - g[i]
+                             : kpirl_mpc_larger(at->y[i] + length * change->y[i], -g[i]);
+    theta += kpirl_mpc_abs(g[i] + trial->y[i]);
+    outside |= trial->y[i] < least * at->y[i];
+  }
+  if (core->failed) theta = (real)NAN; /* outside the domain of a function: no place to go */
+  core->failed = 0;
+  merit->theta = theta;
+  merit->phi = outside ? (real)INFINITY : objective - core->step.tau * kpirl_mpc_log_sum(trial->y, m);
+  for (i = 0; i < T * n_s; ++i) trial->costates[i] = at->costates[i] + length * change->costates[i];
+  for (i = 0; i < n_c; ++i) trial->nu[i] = at->nu[i] + length * change->nu[i];
+}
+
+/* A shorter length: half of it, or more, up to what would have kept enough of the slacks that shrank too much. */
+real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  const real *before = core->at.y, *after = core->trial.y;
+  real most = KPIRL_MPC_BOUNDARY;
+  int i;
+  for (i = 0; i < m; ++i) most = kpirl_mpc_larger((before[i] - after[i]) / before[i], most);
+  return length * (most > KPIRL_MPC_BOUNDARY ? kpirl_mpc_smaller(kpirl_mpc_larger(KPIRL_MPC_BOUNDARY / most, (real)0.5), (real)0.95) : (real)0.5);
+}
+
+/* Slacks no smaller than what is left of the constraint, and multipliers near tau / y. */
+void kpirl_mpc_centre(kpirl_mpc_core *core) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  kpirl_mpc_iterate *at = &core->at;
+  int i;
+  for (i = 0; i < m; ++i) {
+    const real g = core->d.g[i];
+    real centred;
+    at->y[i] = isnan(g) ? g : kpirl_mpc_larger(at->y[i], -g);
+    centred = core->tau / at->y[i];
+    if (at->z[i] < centred / CENTRE) at->z[i] = centred / CENTRE;
+    if (at->z[i] > centred * CENTRE) at->z[i] = centred * CENTRE;
+  }
+}

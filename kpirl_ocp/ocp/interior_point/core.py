@@ -1,0 +1,243 @@
+"""The interior-point core in C with one problem in it."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.interior_point import library as c
+from kpirl_ocp.ocp.interior_point.evaluator import Compiled, VirtualMachine
+from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
+from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare
+from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives
+from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
+
+_PROBLEMS = 64  # whose memory and functions a thread keeps
+# In the order of the C enum; None: not a status of solves.
+_STATUS = (
+    Status.CONVERGED,
+    Status.STEPS_TAKEN,
+    Status.ITERATION_LIMIT,
+    Status.INFEASIBLE,
+    Status.STALLED,
+    Status.DIVERGED,
+    Status.NOT_FINITE,
+)
+
+
+class Core:
+    """Memory, functions and bounds of one problem for the C code; for one thread at a time."""
+
+    def __init__(self, problem: OCP) -> None:
+        self._library = c.library()
+        self.problem = problem
+        self._kept: list[Any] = []  # arrays and evaluators that the C code has pointers to
+        self._patterns = self._find_patterns()
+        self._code: Mapping[str, int] | None = None
+        self._model = self._make_model()
+        dimensions, bounds = self._dimensions(), self._bounds()
+        given = [ctypes.byref(x) for x in (dimensions, bounds, self._model)]
+        self._memory = np.zeros(self._library.kpirl_mpc_core_size(*given), np.uint8)
+        self._core = self._library.kpirl_mpc_core_init(*given, ctypes.c_void_p(self._memory.ctypes.data))
+        self._n_w = self._library.kpirl_mpc_n_point(self._core)
+        self._schedule = np.ascontiguousarray(problem.schedule, float)
+        self._residuals, self._view = c.Residuals(), c.View()
+        self._evaluations = 0
+
+    def solve(self, options: Any, wish: Compile, s0: Array, psi: Array, context: Array, guess: Guess) -> Solution:
+        """Solve with settings `library.Options`; the GIL is released meanwhile."""
+        code = prepare(self.problem, wish, self._evaluations)
+        if code is not self._code:
+            self._code = code
+            self._model = self._make_model()
+            self._library.kpirl_mpc_core_set_model(self._core, ctypes.addressof(self._model))
+        numbers = c.Numbers(*(array.ctypes.data for array in (s0, psi, context, self._schedule)))
+        arrays = self._start(guess)
+        start = c.Start(*(array.ctypes.data for array in arrays))
+        given = (ctypes.addressof(x) for x in (numbers, options, start, self._residuals))
+        status = self._library.kpirl_mpc_core_solve(self._core, *given)
+        solution = self._solution(_STATUS[status], options.barrier)
+        self._evaluations += 2 * (solution.iterations + 1) * self.problem.horizon
+        return solution
+
+    def derivatives(self) -> StageDerivatives | None:
+        """At the last solution; None if the solve ended without them."""
+        if not self._view.matrices:
+            return None
+        problem, view = self.problem, self._view
+        T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
+        n_G = T * n_x * problem.n_path + n_s * problem.n_terminal
+        n_E = T * n_x * problem.n_path_equality + n_s * problem.n_terminal_equality
+        r, G, E, H = (np.empty(max(size, 1)) for size in (self._n_w, n_G, n_E, T * n_x * n_x + n_s * n_s))
+        self._library.kpirl_mpc_core_derivatives(self._core, *(array.ctypes.data for array in (r, G, E, H)))
+        path = _read(view.path, T * problem.n_path)
+        F, defects = _read(view.F, T * n_s * n_x), _read(view.defects, T * n_s)
+        ends = T * n_x, T * n_x * n_x
+        return [defects, path, r[: ends[0]], r[ends[0] :], F, G[: T * n_x * problem.n_path], H[: ends[1]], H[ends[1] :]]
+
+    def _dimensions(self) -> Any:
+        problem = self.problem
+        return c.Dimensions(
+            horizon=problem.horizon,
+            n_states=problem.n_states,
+            n_actions=problem.n_actions,
+            n_path=problem.n_path,
+            n_equality=problem.n_path_equality,
+            n_terminal=problem.n_terminal,
+            n_terminal_equality=problem.n_terminal_equality,
+            n_parameters=problem.n_parameters,
+            n_context=problem.n_context,
+            n_schedule=np.asarray(problem.schedule).shape[1],
+        )
+
+    def _bounds(self) -> Any:
+        problem = self.problem
+        pairs = zip(problem.limits, problem.action_bounds, strict=True)
+        arrays: list[Array] = [by_stage(states, np.asarray(actions)) for states, actions in pairs]
+        free = np.flatnonzero(problem.free_start).astype(np.intc)
+        self._kept += [*arrays, free]
+        return c.Bounds(*(array.ctypes.data for array in arrays), free.ctypes.data, len(free))
+
+    def _make_model(self) -> Any:
+        """The functions, as machine code where there is some."""
+        if self.problem.derivatives is not None:
+            functions, model = horizon_functions(self.problem), c.Model(by_stage=0)
+            model.horizon[:] = [self._pointer(function) for function in functions.horizon]
+            model.dynamics = self._pointer(functions.dynamics)
+            return model
+        stages, model = stage_functions(self.problem), c.Model(by_stage=1, **self._patterns)
+        model.stage[:] = [self._pointer(function) for function in stages.stage]
+        model.last[:] = [self._pointer(function) for function in stages.last]
+        return model
+
+    def _pointer(self, function: ca.Function) -> Any:
+        evaluator = VirtualMachine(function) if self._code is None else Compiled(function, self._code[function.name()])
+        self._kept.append(evaluator)
+        return evaluator.pointer
+
+    def _find_patterns(self) -> dict[str, Any]:
+        """Places of the nonzeros of sparse results."""
+        if self.problem.derivatives is not None:
+            return {}
+        functions = stage_functions(self.problem)
+        second, last = functions.stage[2], functions.last[2]
+        stage = {name: self._pattern(second, 6 + i) for i, name in enumerate(("F", "G", "E", "H"))}
+        return stage | {name: self._pattern(last, 5 + i) for i, name in enumerate(("G_last", "E_last", "H_last"))}
+
+    def _pattern(self, function: ca.Function, i: int) -> Any:
+        sparsity = function.sparsity_out(i)
+        rows, columns = (np.array(x, np.intc) for x in sparsity.get_triplet())
+        entries = np.ascontiguousarray(rows + columns * sparsity.size1(), np.intc)
+        self._kept.append(entries)
+        return c.Pattern(len(entries), entries.ctypes.data)
+
+    def _start(self, guess: Guess) -> list[Array]:
+        """Arrays for `library.Start`."""
+        if guess is None:
+            return []
+        problem = self.problem
+        arrays = [by_stage(problem.as_states(guess.states), problem.as_actions(guess.actions))]
+        if isinstance(guess, Solution):
+            m = guess.multipliers
+            check_multipliers(problem, m)
+            rows = [(m.path, m.terminal), (m.path_equality, m.terminal_equality)]
+            arrays += [np.array(m.dynamics, float), by_stage(m.state, m.action)]
+            arrays += [np.concatenate([path.ravel(), last]) for path, last in rows]
+        return arrays
+
+    def _solution(self, status: Status, barrier: float) -> Solution:
+        view, r = self._view, self._residuals
+        self._library.kpirl_mpc_core_view(self._core, ctypes.addressof(view))
+        T, n_s, n_u = self.problem.horizon, self.problem.n_states, self.problem.n_actions
+        return Solution(
+            trajectory=Trajectory(*split(_read(view.x, self._n_w), T, n_s, n_u)),
+            multipliers=self._multipliers(),
+            objective=view.objective,
+            residuals=KKTResiduals(r.stationarity, r.feasibility, r.complementarity, 0.0, r.scale),
+            status=status,
+            iterations=view.iterations,
+            barrier=barrier,
+        )
+
+    def _multipliers(self) -> Multipliers:
+        problem, view = self.problem, self._view
+        T, n_s, n_u, n_h, n_e = (
+            problem.horizon,
+            problem.n_states,
+            problem.n_actions,
+            problem.n_path,
+            problem.n_path_equality,
+        )
+        net = np.empty(self._n_w)
+        self._library.kpirl_mpc_bound_multipliers(self._core, net.ctypes.data)
+        state, action = split(net, T, n_s, n_u)
+        state[0, ~problem.free_start] = 0
+        path = _read(view.path_multipliers, T * n_h + problem.n_terminal)
+        equality = _read(view.equality_multipliers, T * n_e + problem.n_terminal_equality)
+        return Multipliers(
+            dynamics=_read(view.costates, T * n_s).reshape(T, n_s),
+            state=state,
+            action=action,
+            path=path[: T * n_h].reshape(T, n_h),
+            path_equality=equality[: T * n_e].reshape(T, n_e),
+            terminal=path[T * n_h :],
+            terminal_equality=equality[T * n_e :],
+        )
+
+
+def by_stage(states: Array, actions: Array) -> Array:
+    """(s_0, u_0, s_1, .., u_{T-1}, s_T) of states (T+1, n_s) and actions (T, n_u)."""
+    return np.concatenate([np.hstack([states[:-1], actions]).ravel(), states[-1]])
+
+
+def split(x: Array, steps: int, n_s: int, n_u: int) -> tuple[Array, Array]:
+    """States (T+1, n_s) and actions (T, n_u) of `by_stage`."""
+    rows = x[: steps * (n_s + n_u)].reshape(steps, n_s + n_u)
+    return np.vstack([rows[:, :n_s], x[steps * (n_s + n_u) :]]), rows[:, n_s:].copy()
+
+
+def check_multipliers(problem: OCP, multipliers: Multipliers) -> None:
+    """Raise ProblemError when the multipliers of a guess do not fit the problem."""
+    steps = problem.horizon
+    shapes = {
+        "dynamics": (steps, problem.n_states),
+        "state": (steps + 1, problem.n_states),
+        "action": (steps, problem.n_actions),
+        "path": (steps, problem.n_path),
+        "path_equality": (steps, problem.n_path_equality),
+        "terminal": (problem.n_terminal,),
+        "terminal_equality": (problem.n_terminal_equality,),
+    }
+    for name, shape in shapes.items():
+        given = np.shape(getattr(multipliers, name))
+        if given != shape:
+            raise ProblemError(
+                f"the guess's multipliers.{name} must be {shape}, got {given}: it is of another problem."
+            )
+
+
+def _read(address: int, size: int) -> Array:
+    """A copy of numbers of the C code."""
+    if not size:
+        return np.zeros(0)
+    return np.ctypeslib.as_array((ctypes.c_double * size).from_address(address)).copy()
+
+
+_thread = threading.local()
+
+
+def core_of(problem: OCP) -> Core:
+    """This thread's core for a problem; the last `_PROBLEMS` are kept."""
+    make: Callable[[OCP], Core] | None = getattr(_thread, "make", None)
+    if make is None:
+        make = _thread.make = lru_cache(maxsize=_PROBLEMS)(Core)
+    return make(problem)

@@ -1,0 +1,85 @@
+"""CasADi functions as C function pointers: evaluated by CasADi's virtual machine, or as machine code."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from kpirl_ocp.ocp.interior_point.library import Buffered, CompiledFunction, Function, library
+from kpirl_ocp.types import Array
+
+# Members of casadi::FunctionBuffer, as compilers for Linux and macOS spell them.
+_EVALUATE, _STATUS = "_ZN6casadi14FunctionBuffer5_evalEv", "_ZN6casadi14FunctionBuffer3retEv"
+
+
+class VirtualMachine:
+    """A function evaluated by CasADi's virtual machine, with memory for one evaluation."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer, _ = function.buffer()
+        n_in, n_out = function.n_in(), function.n_out()
+        sizes = [function.nnz_in(i) for i in range(n_in)], [function.nnz_out(i) for i in range(n_out)]
+        self._arrays = [[np.zeros(max(size, 1)) for size in side] for side in sizes]
+        for tell, side in zip((self._buffer.set_arg, self._buffer.set_res), self._arrays, strict=True):
+            for i, array in enumerate(side):
+                tell(i, array.data)
+        self._sizes = [np.array(side, np.intc) for side in sizes]
+        self._pointers = [np.array([array.ctypes.data for array in side], np.uintp) for side in self._arrays]
+        addresses = [array.ctypes.data for side in (self._sizes, self._pointers) for array in side]
+        self._structure = Buffered(*_members(), _address_of(self._buffer), n_in, n_out, *addresses)
+
+    @property
+    def pointer(self) -> Any:
+        """The function for the core."""
+        return Function(_symbol("kpirl_mpc_evaluate_buffered"), ctypes.addressof(self._structure))
+
+
+class Compiled:
+    """A function of a shared library that CasADi's code generator wrote, with memory for one evaluation."""
+
+    def __init__(self, function: ca.Function, code: int) -> None:
+        """code: address of the function in the library."""
+        self._memory: list[Array] = [
+            np.zeros(max(size, 1), kind)
+            for size, kind in (
+                (function.sz_arg(), np.uintp),
+                (function.sz_res(), np.uintp),
+                (function.sz_iw(), np.int64),
+                (function.sz_w(), np.float64),
+            )
+        ]
+        addresses = [array.ctypes.data for array in self._memory]
+        self._structure = CompiledFunction(code, function.n_in(), function.n_out(), *addresses)
+
+    @property
+    def pointer(self) -> Any:
+        """The function for the core."""
+        return Function(_symbol("kpirl_mpc_evaluate_compiled"), ctypes.addressof(self._structure))
+
+
+def _symbol(name: str) -> int:
+    address = ctypes.cast(getattr(library(), name), ctypes.c_void_p).value
+    assert address is not None
+    return address
+
+
+@lru_cache(maxsize=1)
+def _members() -> tuple[int | None, int | None]:
+    """Addresses of FunctionBuffer's members; CasADi is loaded already, so that this only finds it."""
+    folder = Path(ca.__file__).parent
+    (path, *_) = [*folder.glob("libcasadi.so*"), *folder.glob("libcasadi.dylib")]
+    casadi = ctypes.CDLL(str(path))
+    evaluate, status = (ctypes.cast(getattr(casadi, name), ctypes.c_void_p).value for name in (_EVALUATE, _STATUS))
+    return evaluate, status
+
+
+def _address_of(buffer: ca.FunctionBuffer) -> int | None:
+    get = ctypes.pythonapi.PyCapsule_GetPointer
+    get.restype, get.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    address: int | None = get(buffer._self(), None)
+    return address

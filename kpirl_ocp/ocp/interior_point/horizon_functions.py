@@ -1,0 +1,130 @@
+"""The functions by which the core sees a problem whose dynamics bring derivatives arranged by hand: all stages at once.
+
+With the Lagrangians L_t and L_T of `kpirl_ocp.ocp.interior_point.stage_functions`, side by side for all stages,
+
+    horizon (S, U, psi, c, Lambda, Z, N, z_T, nu_T)
+        -> J, f, h, e, g_T, e_T | grad J by x_t, by s_T, grad L_t, grad L_T | F, G', E', H, G_T', E_T', H_T
+
+and `dynamics` (x, psi, c, d) -> f of one stage, for rollouts. Layers of a network become products of matrices this way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+
+from kpirl_ocp.ocp.conditions.stage_derivatives import linearise_dynamics
+from kpirl_ocp.ocp.interior_point.stage_functions import constraint_functions, last_functions
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.trajectory_cost import TrajectoryCost, stage_costs
+
+
+@dataclass(frozen=True, eq=False)
+class HorizonFunctions:
+    """Values, first and second derivatives of the whole horizon; and the dynamics of one stage."""
+
+    horizon: tuple[ca.Function, ca.Function, ca.Function]
+    dynamics: ca.Function
+
+
+@lru_cache(maxsize=64)
+def horizon_functions(problem: OCP) -> HorizonFunctions:
+    """Of a problem with `OCP.derivatives`."""
+    x, psi = ca.MX.sym("x", problem.n_states + problem.n_actions), ca.MX.sym("psi", problem.n_parameters)
+    others = [ca.MX.sym(name, problem.stage_cost.size1_in(i)) for i, name in ((3, "c"), (4, "d"))]
+    successor = problem.transition(x[: problem.n_states], x[problem.n_states :], psi)
+    dynamics = ca.Function("dynamics", [x, psi, *others], [successor])
+    return HorizonFunctions((_values(problem), _first(problem), _second(problem)), dynamics)
+
+
+def _symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX]]:
+    """S, U, psi, c; and Lambda, Z, N, z_T, nu_T."""
+    steps = problem.horizon
+    shapes = {"Lambda": (problem.n_states, steps), "Z": (problem.n_path, steps), "N": (problem.n_path_equality, steps)}
+    shapes |= {"z_T": (problem.n_terminal, 1), "nu_T": (problem.n_terminal_equality, 1)}
+    return problem.symbols(), [ca.MX.sym(name, *shape) for name, shape in shapes.items()]
+
+
+def _function(name: str, inputs: list[ca.MX], outputs: list[ca.MX]) -> ca.Function:
+    return ca.Function(name, inputs, [ca.densify(output) for output in outputs])
+
+
+def _values(problem: OCP) -> ca.Function:
+    point, _ = _symbols(problem)
+    states, actions, psi, context = point
+    cost = TrajectoryCost(problem, 1)
+    total = cost.first(states, actions, cost.coefficients(psi, context))[0]
+    successors = problem.transition.map(problem.horizon)(
+        states[:, :-1], actions, problem.transition_numbers(psi, context)
+    )
+    rows = [problem.at_stages(g, *point) for g in (problem.path_constraint, problem.path_equality)]
+    ends = [problem.at_end(g, *point) for g in (problem.terminal_inequality, problem.terminal_equality)]
+    return _function("horizon_values", point, [total, successors, *rows, *ends])
+
+
+def _first(problem: OCP) -> ca.Function:
+    point, dual = _symbols(problem)
+    (states, actions, psi, context), (costates, *_) = point, dual
+    cost = TrajectoryCost(problem, 1)
+    total, by_states, by_actions = cost.first(states, actions, cost.coefficients(psi, context))
+    dynamics = linearise_dynamics(problem, states, actions, psi, costates)
+    rows, ends = _rows(problem, 1, point, dual), _ends(problem, 1, point, dual)
+    slope, last_slope = ca.vertcat(by_states[:, :-1], by_actions), by_states[:, -1]
+    values = [total, dynamics.value, rows[1], rows[2], ends[1], ends[2]]
+    slopes = [slope, last_slope, slope + dynamics.Ft_lambda + rows[4], ends[4]]
+    return _function("horizon_first", [*point, *dual], [*values, *slopes])
+
+
+def _second(problem: OCP) -> ca.Function:
+    point, dual = _symbols(problem)
+    (states, actions, psi, context), (costates, *_) = point, dual
+    stage, prepared = linearise_dynamics(problem, states, actions, psi, costates).second()
+    theta = TrajectoryCost(problem, 1).coefficients(psi, context)
+    value, slope, successors, Ft_lambda, F, H = _stage_second(problem, stage).map(problem.horizon)(
+        states[:, :-1], actions, theta.stages, costates, *prepared
+    )
+    rows, ends = _rows(problem, 2, point, dual), _ends(problem, 2, point, dual)
+    if problem.n_path + problem.n_path_equality:
+        H = H + rows[7]
+    values = [ca.sum2(value) + ends[0], successors, rows[1], rows[2], ends[1], ends[2]]
+    slopes = [slope, ends[3], slope + Ft_lambda + rows[4], ends[4]]
+    return _function("horizon_second", [*point, *dual], [*values, *slopes, F, rows[5], rows[6], H, *ends[5:]])
+
+
+def _stage_second(problem: OCP, dynamics: ca.Function) -> ca.Function:
+    """(s, u, theta, lambda, arguments of dynamics) -> l, its gradient, f, F' lambda, F, H; of one stage."""
+    running, _ = stage_costs(problem)
+    s, u = ca.MX.sym("s", problem.n_states), ca.MX.sym("u", problem.n_actions)
+    theta, costate = ca.MX.sym("theta", running.hessian.size1_in(2)), ca.MX.sym("lambda", problem.n_states)
+    prepared = [ca.MX.sym("prepared", dynamics.size1_in(i)) for i in range(dynamics.n_in())]
+    value, slope, curvature = running.hessian(s, u, theta)
+    successor, F, H = dynamics.call(prepared, True, False)
+    F = ca.densify(F)
+    outputs = [value, slope, successor, (costate.T @ F).T, F, _plus_sparse(H, curvature)]
+    return _function("stage_second", [s, u, theta, costate, *prepared], outputs)
+
+
+def _plus_sparse(dense: ca.MX, sparse: ca.MX) -> ca.MX:
+    """The sum as a dense matrix; only entries that are there are touched."""
+    total = ca.MX(ca.densify(dense))
+    rows, columns = sparse.sparsity().get_triplet()
+    where = [row + column * sparse.size1() for row, column in zip(rows, columns, strict=True)]
+    if where:
+        total.nz[where] = total.nz[where] + sparse.nz[:]
+    return total
+
+
+def _rows(problem: OCP, level: int, point: list[ca.MX], dual: list[ca.MX]) -> list[ca.MX]:
+    """The results of `constraint_functions` at all stages, dense; the cost and its gradient in them are zero."""
+    (states, actions, psi, context), (_, Z, N, *_), steps = point, dual, problem.horizon
+    stage = constraint_functions(problem)[level]
+    dense = ca.Function("rows", stage.mx_in(), [ca.densify(x) for x in stage(*stage.mx_in())])
+    wide = [ca.repmat(value, 1, steps) for value in (psi, context)]
+    return list(dense.map(steps)(ca.vertcat(states[:, :-1], actions), *wide, problem.stages[:, :-1], Z, N))
+
+
+def _ends(problem: OCP, level: int, point: list[ca.MX], dual: list[ca.MX]) -> list[ca.MX]:
+    (states, _, psi, context), (*_, z, nu) = point, dual
+    return list(last_functions(problem)[level](states[:, -1], psi, context, problem.stages[:, -1], z, nu))

@@ -1,0 +1,153 @@
+"""The core's shared library, and its structures in ctypes (`c/kpirl_mpc_core.h`, `c/kpirl_mpc_library.h`)."""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+from functools import lru_cache
+from pathlib import Path
+
+from kpirl_ocp.errors import CompilerError
+
+POINTER, INT, REAL = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
+
+
+def _structure(name: str, **fields: object) -> type[ctypes.Structure]:
+    return type(name, (ctypes.Structure,), {"_fields_": list(fields.items())})
+
+
+_DIMENSIONS = (
+    "horizon",
+    "n_states",
+    "n_actions",
+    "n_path",
+    "n_equality",
+    "n_terminal",
+    "n_terminal_equality",
+    "n_parameters",
+    "n_context",
+    "n_schedule",
+)
+Dimensions = _structure("Dimensions", **dict.fromkeys(_DIMENSIONS, INT))
+Function = _structure("Function", evaluate=POINTER, self=POINTER)
+Pattern = _structure("Pattern", count=INT, entries=POINTER)
+Model = _structure(
+    "Model",
+    by_stage=INT,
+    stage=Function * 3,
+    last=Function * 3,
+    horizon=Function * 3,
+    dynamics=Function,
+    **dict.fromkeys(("F", "G", "E", "H", "G_last", "E_last", "H_last"), Pattern),
+)
+Bounds = _structure("Bounds", lower=POINTER, upper=POINTER, free_entries=POINTER, n_free=INT)
+Numbers = _structure("Numbers", s0=POINTER, psi=POINTER, context=POINTER, schedule=POINTER)
+Options = _structure(
+    "Options",
+    max_iterations=INT,
+    steps=INT,
+    tolerance=REAL,
+    barrier=REAL,
+    time_limit=REAL,
+    now=POINTER,
+    clock=POINTER,
+    log=POINTER,
+    log_to=POINTER,
+)
+Start = _structure("Start", x=POINTER, costates=POINTER, bounds=POINTER, path=POINTER, equality=POINTER)
+View = _structure(
+    "View",
+    **dict.fromkeys(("x", "costates", "path_multipliers", "equality_multipliers"), POINTER),
+    **dict.fromkeys(("defects", "path", "equality", "gradient", "F", "G", "E", "H"), POINTER),
+    objective=REAL,
+    tau=REAL,
+    iterations=INT,
+    matrices=INT,
+)
+Residuals = _structure("Residuals", stationarity=REAL, feasibility=REAL, complementarity=REAL, scale=REAL)
+Iteration = _structure(
+    "Iteration",
+    iteration=INT,
+    trials=INT,
+    objective=REAL,
+    infeasibility=REAL,
+    dual_infeasibility=REAL,
+    complementarity=REAL,
+    tau=REAL,
+    step=REAL,
+    regularisation=REAL,
+    primal_length=REAL,
+    dual_length=REAL,
+)
+Buffered = _structure(
+    "Buffered",
+    evaluate=POINTER,
+    status=POINTER,
+    buffer=POINTER,
+    n_in=INT,
+    n_out=INT,
+    size_in=POINTER,
+    size_out=POINTER,
+    inputs=POINTER,
+    outputs=POINTER,
+)
+CompiledFunction = _structure(
+    "CompiledFunction",
+    evaluate=POINTER,
+    n_in=INT,
+    n_out=INT,
+    arguments=POINTER,
+    results=POINTER,
+    integers=POINTER,
+    reals=POINTER,
+)
+LOG = ctypes.CFUNCTYPE(None, POINTER, ctypes.POINTER(Iteration))
+
+
+@lru_cache(maxsize=1)
+def library() -> ctypes.CDLL:
+    """The build of the core for this processor. Raises CompilerError when the package was installed without it."""
+    folder = Path(__file__).parent
+    for level in _levels():
+        path = folder / f"_core{level}.so"
+        if path.exists():
+            return _declared(ctypes.CDLL(str(path)))
+    raise CompilerError(
+        f"{folder} holds no compiled core (_core.so): install the package again on a machine with a C compiler, "
+        "or from a wheel."
+    )
+
+
+def _levels() -> list[str]:
+    """The builds that this processor runs, fastest first (x86-64 levels of the psABI)."""
+    if platform.machine() not in ("x86_64", "AMD64"):
+        return [""]
+    cpu = _cpu_flags()
+    levels = [""]
+    if {"avx2", "fma", "bmi2"} <= cpu:
+        levels.insert(0, "_v3")
+        if {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"} <= cpu:
+            levels.insert(0, "_v4")
+    return levels
+
+
+def _cpu_flags() -> set[str]:
+    try:
+        text = Path("/proc/cpuinfo").read_text()
+    except OSError:
+        return set()
+    lines = [line for line in text.splitlines() if line.startswith("flags")]
+    return set(lines[0].split()) if lines else set()
+
+
+def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
+    core.kpirl_mpc_core_size.restype = ctypes.c_size_t
+    core.kpirl_mpc_core_init.restype = POINTER
+    core.kpirl_mpc_core_solve.restype = INT
+    for name in ("n_point", "n_inequalities", "n_equalities"):
+        getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER]
+    core.kpirl_mpc_core_solve.argtypes = [POINTER] * 5
+    core.kpirl_mpc_core_set_model.argtypes = [POINTER] * 2
+    core.kpirl_mpc_core_derivatives.argtypes = [POINTER] * 5
+    core.kpirl_mpc_core_view.argtypes = core.kpirl_mpc_bound_multipliers.argtypes = [POINTER] * 2
+    return core

@@ -1,0 +1,129 @@
+"""Machine code of a problem's functions: when it is made, and where it comes from.
+
+Stage functions are straight-line code: CasADi's virtual machine evaluates them without a compiler, machine code several
+times faster, equal to the last bit, since neither contracts nor reorders operations. So a solve need not know which of
+them it runs on, and a compiler may work in the background: it starts once a problem has been evaluated often enough to
+show that it will be used. Functions of the whole horizon (networks) get fast kernels that round differently, so they
+are compiled before the first solve, or never.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import casadi as ca
+
+from kpirl_ocp.ocp.codegen import compiler
+from kpirl_ocp.ocp.codegen.numpy_calls import worth_compiling
+from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
+from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
+from kpirl_ocp.ocp.problem.ocp import OCP
+
+Compile = bool | Literal["auto"]
+
+# -O1 gives nearly all of -O2 for straight-line code, in a tenth of the time.
+FLAGS = ("-O1", "-ffp-contract=off", "-fno-math-errno", "-Wno-int-conversion", "-fPIC", "-shared")
+_OFTEN = 20_000  # evaluations of a stage after which a compiler is worth starting
+_LONG = 3_000  # operations whose compilation takes about a second
+
+
+class MachineCode:
+    """The functions of one problem as a shared library, once there is one. Shared by all threads."""
+
+    def __init__(self, functions: Sequence[ca.Function], kernels: bool) -> None:
+        """kernels: whether products and tanh of matrices are replaced by fast ones."""
+        self._functions, self._kernels = list(functions), kernels
+        self._path: Path | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._addresses: dict[str, int] | None = None
+        self._given_up = False
+
+    def addresses(self) -> dict[str, int] | None:
+        """The functions' addresses by name if the library is there; never waits."""
+        if self._addresses is None and self._path is not None and self._path.exists():
+            library = ctypes.CDLL(str(self._path))
+            self._addresses = {f.name(): _address(library, f.name()) for f in self._functions}
+        return self._addresses
+
+    def begin(self) -> None:
+        """Start a compiler in the background, unless the library is there or on its way."""
+        if self._path is not None or self._given_up:
+            return
+        command = compiler.find_compiler()
+        if command is None:
+            self._given_up = True
+            return
+        flags = compiler.FLAGS if self._kernels else FLAGS
+        source = self._source()
+        key = "\0".join([source, command, compiler.identity(command), *flags])
+        self._path = compiler.cache_directory() / f"stages-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
+        if not self._path.exists():
+            self._process = _start(command, flags, source, self._path)
+
+    def wait(self) -> None:
+        """Until the library is there, or cannot be made; a long wait is announced."""
+        self.begin()
+        if self._process is None:
+            return
+        operations = sum(f.n_instructions() for f in self._functions)
+        if self._process.poll() is None and operations > _LONG:
+            print(f"compiling {operations} operations of {self._functions[0].name()} (once) ...", file=sys.stderr)
+        if self._process.wait():
+            self._given_up = True
+            compiler.warn_slow(f"the compiler could not make {self._path}")
+
+    def _source(self) -> str:
+        generator = ca.CodeGenerator("stages.c")
+        for function in self._functions:
+            generator.add(function)
+        source: str = generator.dump()
+        return compiler.with_fast_kernels(source) if self._kernels else source
+
+
+def _start(command: str, flags: Sequence[str], source: str, library: Path) -> subprocess.Popen[bytes]:
+    """Compile beside the target and rename: whoever looks sees the whole library or none."""
+    library.parent.mkdir(parents=True, exist_ok=True)
+    folder = tempfile.mkdtemp(dir=library.parent)
+    code, built = Path(folder) / "code.c", Path(folder) / "built.so"
+    code.write_text(source)
+    script = 'trap "rm -rf $1" EXIT; target=$2; shift 2; "$@" && mv "$0" "$target"'
+    line = ["sh", "-c", script, str(built), folder, str(library), command, *flags, str(code), "-o", str(built), "-lm"]
+    return subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def _address(library: ctypes.CDLL, name: str) -> int:
+    address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
+    assert address is not None
+    return address
+
+
+@lru_cache(maxsize=64)
+def machine_code(problem: OCP) -> MachineCode:
+    """That of a problem's stage functions, or of its functions of the whole horizon."""
+    if problem.derivatives is None:
+        return MachineCode(stage_functions(problem).all, kernels=False)
+    functions = horizon_functions(problem)
+    return MachineCode([*functions.horizon, functions.dynamics], kernels=True)
+
+
+def prepare(problem: OCP, wish: Compile, evaluations: int) -> dict[str, int] | None:
+    """Addresses of machine code to solve with now; None for the virtual machine.
+
+    evaluations: of stages so far. See the module for the decision that "auto" stands for.
+    """
+    if wish is False:
+        return None
+    code = machine_code(problem)
+    if wish is True or (problem.derivatives is not None and worth_compiling(problem)):
+        code.wait()
+    elif problem.derivatives is None and evaluations > _OFTEN:
+        code.begin()
+    return code.addresses()

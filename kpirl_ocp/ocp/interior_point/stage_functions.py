@@ -1,0 +1,141 @@
+"""The functions by which the core in C sees a problem: values, first and second derivatives of a stage.
+
+With the Lagrangian of one stage, L = l + lambda . f + z . h + nu . e, and of the end, L_T = l_T + z . g_T + nu . e_T,
+
+    stage  (x, psi, c, d, lambda, z, nu) -> l, f, h, e  | grad l, grad L      | F, G', E', lower triangle of H
+    last   (s, psi, c, d, z, nu)         -> l_T, g_T, e_T | grad l_T, grad L_T  | G_T', E_T', lower triangle of H_T
+
+x = (s, u), H is the second derivative of L by x, and F, G and E are the Jacobians of f, h and e. Each function has the
+results of its level and of those before. Jacobians and Hessians are sparse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+
+from kpirl_ocp.ocp.problem.ocp import OCP
+
+Levels = tuple[ca.Function, ca.Function, ca.Function]
+"""A function of values, one of first and one of second derivatives."""
+
+_EXPANDED = 20_000  # nodes of a graph of matrices that is written out in scalars, at most
+_SHARED = 30_000  # operations among which common subexpressions are looked for, at most
+
+
+@dataclass(frozen=True, eq=False)
+class StageFunctions:
+    """Values, first and second derivatives (three functions each) of a stage and of the end."""
+
+    stage: Levels
+    last: Levels
+
+    @property
+    def all(self) -> list[ca.Function]:
+        """The six functions."""
+        return [*self.stage, *self.last]
+
+
+@lru_cache(maxsize=64)
+def stage_functions(problem: OCP) -> StageFunctions:
+    """Of a problem, by AD; in scalar operations where the problem can be written out in them."""
+    parts = [problem.dynamics, problem.stage_cost, problem.path_constraint, problem.path_equality]
+    return StageFunctions(_stage(problem, *_scalar(parts)), last_functions(problem))
+
+
+def last_functions(problem: OCP) -> Levels:
+    """Those of the end."""
+    return _last(problem, *_scalar([problem.terminal_cost, problem.terminal_inequality, problem.terminal_equality]))
+
+
+def constraint_functions(problem: OCP) -> Levels:
+    """Those of a stage's constraints alone, as of an end with s and u: (x, psi, c, d, z, nu) -> 0, h, e | .. ."""
+    path, equality = _scalar([problem.path_constraint, problem.path_equality])
+    kind = _kind([path, equality])
+    n_s = problem.n_states
+    x, numbers = kind.sym("x", n_s + problem.n_actions), _numbers(kind, problem)
+    rows = [kind(0, 1) if g is None else ca.densify(g(x[:n_s], x[n_s:], *numbers)) for g in (path, equality)]
+    return _levels(kind, "rows", x, numbers, [kind.zeros(1), *rows], constraints=2)
+
+
+def _scalar(functions: list[ca.Function | None]) -> list[ca.Function | None]:
+    """All in scalar operations, or none of them."""
+    try:
+        return [function if function is None else _expand(function) for function in functions]
+    except (RuntimeError, _TooLarge):
+        return functions
+
+
+class _TooLarge(Exception):
+    """A graph of matrices with too many nodes to be written out in scalars."""
+
+
+def _expand(function: ca.Function) -> ca.Function:
+    if function.is_a("SXFunction"):
+        return function
+    if function.n_nodes() > _EXPANDED:
+        raise _TooLarge
+    return function.expand()
+
+
+def _kind(functions: list[ca.Function | None]) -> type[ca.SX] | type[ca.MX]:
+    return ca.SX if all(f is None or f.is_a("SXFunction") for f in functions) else ca.MX
+
+
+def _stage(
+    problem: OCP, f: ca.Function, cost: ca.Function, path: ca.Function | None, equality: ca.Function | None
+) -> Levels:
+    kind = _kind([f, cost, path, equality])
+    n_s, n_u = problem.n_states, problem.n_actions
+    x, numbers = kind.sym("x", n_s + n_u), _numbers(kind, problem)
+    point = [x[:n_s], x[n_s:], *numbers]
+    rows = [kind(0, 1) if g is None else ca.densify(g(*point)) for g in (path, equality)]
+    values = [ca.densify(cost(*point)), ca.densify(f(*point)), *rows]
+    return _levels(kind, "stage", x, numbers, values, constraints=3)
+
+
+def _last(problem: OCP, cost: ca.Function, path: ca.Function | None, equality: ca.Function | None) -> Levels:
+    kind = _kind([cost, path, equality])
+    s, numbers = kind.sym("s", problem.n_states), _numbers(kind, problem)
+    rows = [kind(0, 1) if g is None else ca.densify(g(s, *numbers)) for g in (path, equality)]
+    return _levels(kind, "last", s, numbers, [ca.densify(cost(s, *numbers)), *rows], constraints=2)
+
+
+def _levels(
+    kind: type[ca.SX] | type[ca.MX],
+    name: str,
+    x: ca.SX | ca.MX,
+    numbers: list[ca.SX | ca.MX],
+    values: list[ca.SX | ca.MX],
+    constraints: int,
+) -> Levels:
+    """The three functions of a cost and the constraints that follow it in `values`."""
+    multipliers = [kind.sym("multiplier", value.numel()) for value in values[1:]]
+    lagrangian = values[0] + sum(ca.dot(one, value) for one, value in zip(multipliers, values[1:], strict=True))
+    hessian, slope = ca.hessian(lagrangian, x)
+    slopes = [ca.densify(ca.gradient(values[0], x)), ca.densify(slope)]
+    jacobians = [ca.jacobian(value, x) for value in values[1:]]
+    matrices = [jacobian.T for jacobian in jacobians[-2:]]
+    if constraints == 3:
+        matrices.insert(0, jacobians[0])
+    matrices.append(ca.tril(hessian))
+    point, dual = [x, *numbers], [x, *numbers, *multipliers]
+    return (
+        _function(f"{name}_values", point, values),
+        _function(f"{name}_first", dual, [*values, *slopes]),
+        _function(f"{name}_second", dual, [*values, *slopes, *matrices]),
+    )
+
+
+def _function(name: str, inputs: list[ca.SX | ca.MX], outputs: list[ca.SX | ca.MX]) -> ca.Function:
+    function = ca.Function(name, inputs, outputs)
+    if function.n_instructions() > _SHARED:
+        return function
+    return ca.Function(name, inputs, ca.cse(outputs))
+
+
+def _numbers(kind: type[ca.SX] | type[ca.MX], problem: OCP) -> list[ca.SX | ca.MX]:
+    """psi, c and d."""
+    return [kind.sym(name, problem.stage_cost.size1_in(i)) for i, name in ((2, "psi"), (3, "c"), (4, "d"))]
