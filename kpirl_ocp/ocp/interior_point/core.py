@@ -65,7 +65,7 @@ class Core:
         start = c.Start(*(array.ctypes.data for array in arrays))
         given = (ctypes.addressof(x) for x in (numbers, options, start, self._residuals))
         status = self._library.kpirl_mpc_core_solve(self._core, *given)
-        solution = self._solution(_STATUS[status], options.barrier)
+        solution = self._solution(_STATUS[status], options.barrier, psi, context)
         self._evaluations += 2 * (solution.iterations + 1) * self.problem.horizon
         return solution
 
@@ -154,11 +154,13 @@ class Core:
             arrays += [np.concatenate([path.ravel(), last]) for path, last in rows]
         return arrays
 
-    def _solution(self, status: Status, barrier: float) -> Solution:
+    def _solution(self, status: Status, barrier: float, psi: Array, context: Array) -> Solution:
         view, r = self._view, self._residuals
         self._library.kpirl_mpc_core_view(self._core, ctypes.addressof(view))
         T, n_s, n_u = self.problem.horizon, self.problem.n_states, self.problem.n_actions
         return Solution(
+            psi=psi,
+            context=context,
             trajectory=Trajectory(*split(_read(view.x, self._n_w), T, n_s, n_u)),
             multipliers=self._multipliers(),
             objective=view.objective,
