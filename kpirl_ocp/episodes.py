@@ -94,13 +94,13 @@ def write_episodes(directory: str | Path, episodes: Sequence[Any], meta: Mapping
 def write_episode(path: Path, episode: Any) -> None:
     """Write one episode; the file appears whole or not at all. Raises EpisodeError for malformed arrays."""
     check_episode(path, episode)
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         np.savez_compressed(file, allow_pickle=False, **_arrays(episode))
 
 
 def write_meta(directory: Path, count: int, meta: Mapping[str, Any]) -> None:
     """Write `meta.json`: the version, the number of episodes, and whatever else is known about them."""
-    with replacing(directory / "meta.json") as file:
+    with atomic_write(directory / "meta.json") as file:
         file.write(json.dumps({"version": _VERSION, "episodes": count, **meta}, indent=2).encode())
 
 
@@ -191,7 +191,7 @@ def _arrays(episode: Any) -> dict[str, np.ndarray[Any, Any]]:
     return {entry.metadata["key"]: getattr(episode, entry.name) for entry in _entries(type(episode))}
 
 
-class replacing:
+class atomic_write:
     """A file that takes its name only when it has been written to the end."""
 
     def __init__(self, path: Path) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from kpirl_ocp.episodes import replacing
+from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import ModelError
 from kpirl_ocp.types import Array
 
@@ -68,9 +68,9 @@ class Tensors:
 def write_model(path: Path, kind: str, tensors: Mapping[str, Floats], entries: Mapping[str, Any]) -> Path:
     """Write the weights and then the card `path` (.json), each whole or not at all; gives `path` back."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path.with_suffix(".safetensors")) as file:
+    with atomic_write(path.with_suffix(".safetensors")) as file:
         file.write(save(dict(tensors)))
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         file.write((json.dumps({"kind": kind, "version": VERSION, **entries}, indent=2) + "\n").encode())
     return path
 
@@ -88,7 +88,7 @@ def read_model(path: Path, kind: str) -> tuple[Card, Tensors]:
 
 
 @contextmanager
-def fitting(path: str | Path) -> Iterator[None]:
+def report_mismatch(path: str | Path) -> Iterator[None]:
     """Report a card that does not describe the weights beside it as a ModelError that names the file."""
     try:
         yield

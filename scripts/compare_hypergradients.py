@@ -12,7 +12,7 @@ from experiments.comparison import Measurement, learn_with_each, measure_all, me
 from tqdm import tqdm
 
 from kpirl_ocp import figures
-from kpirl_ocp.irl.cases.examples import CASES, free
+from kpirl_ocp.irl.cases.examples import CASES, unconstrained
 from kpirl_ocp.irl.learning.learn import LearningResult
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
@@ -63,7 +63,7 @@ def main() -> None:
     parser.add_argument("--out", default="out/compare_hypergradients", help="directory (default: %(default)s)")
     args = parser.parse_args()
 
-    case = free(CASES[args.problem]())
+    case = unconstrained(CASES[args.problem]())
     exact, agreement = reference(case)
     print(f"{args.problem}: {len(exact)} parameters; finite differences agree with the reference to {agreement:.1e}")
     with tqdm(total=len(list(methods(case, args.steps))), desc="measuring", unit="method") as bar:

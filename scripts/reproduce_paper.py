@@ -15,7 +15,7 @@ from reproduction.page import Page
 from reproduction.settings import PRESETS, Preset
 from reproduction.sweep import BACKENDS, Job, Result, backend, run_sweep
 
-from kpirl_ocp.irl.visual.demonstrations import own_demonstration
+from kpirl_ocp.irl.visual.demonstrations import robot_demonstration
 from kpirl_ocp.reporting import output_directory, run, write_metrics
 
 
@@ -51,7 +51,7 @@ def experiments(models: Models, material: Data, preset: Preset, seeds: Sequence[
 
     dynamics = models.load_dynamics("reaching")
     validation = {
-        "reaching": [own_demonstration(dynamics, track) for track in material.reaching_validation],
+        "reaching": [robot_demonstration(dynamics, track) for track in material.reaching_validation],
         "placing": [
             placing.set_up(models, clip, 1000 + index).demonstration
             for index, clip in enumerate(material.placing_validation)

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from kpirl_ocp import figures
-from kpirl_ocp.perception.data.clips import recordings, unlabelled
+from kpirl_ocp.perception.data.clips import read_recordings, read_videos
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.evaluation import DetectorScores, score
 from kpirl_ocp.perception.detector.track_images import contact_sheet, track_video
@@ -59,12 +59,12 @@ def main() -> None:
     out = output_directory(args.out)
     settings = PRESETS[args.preset]
     settings = settings if args.steps is None else replace(settings, steps=args.steps)
-    clips = [clip.images for clip in recordings(args.data)]
-    others = unlabelled(args.videos)
+    clips = [clip.images for clip in read_recordings(args.data)]
+    others = read_videos(args.videos)
     trained = train_detector(clips, settings, args.seed, others=others, checkpoint=out / "checkpoint.safetensors")
     detector = KeypointDetector(trained.model, settings.size)
 
-    tests = {Path(directory).name: recordings(directory) for directory in args.test}
+    tests = {Path(directory).name: read_recordings(directory) for directory in args.test}
     scores = {name: score(detector, held_out) for name, held_out in tests.items()}
     results = {
         "steps": len(trained.curves["total"]),

@@ -20,7 +20,7 @@ from kpirl_ocp.irl.visual.closed_loop import Execution, KeypointController
 from kpirl_ocp.irl.visual.demonstrations import positions, transferred_demonstration
 from kpirl_ocp.irl.visual.learning import COSTS, InnerLoop, LearnedPlan, learn_unrolled
 from kpirl_ocp.perception.data.encoding import write_video
-from kpirl_ocp.perception.data.video import Frames, every
+from kpirl_ocp.perception.data.video import Frames, sample_indices
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.track_images import image_strips, keypoint_paths, with_tracks
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant
@@ -57,7 +57,7 @@ class Clip:
 def watch(detector: KeypointDetector, seed: int) -> Clip:
     path = placing_path(np.random.default_rng(seed))
     with HandScene() as scene:
-        frames = [scene.look(place) for place in path[every(len(path), FILM_RATE, DEMONSTRATION_RATE)]]
+        frames = [scene.look(place) for place in path[sample_indices(len(path), FILM_RATE, DEMONSTRATION_RATE)]]
     images = np.array([frame.rgb for frame in frames])
     track = KeypointTrack(detector.detect(images), np.arange(len(images)) / DEMONSTRATION_RATE)
     return Clip(images, track, np.array([frame.place for frame in frames]))

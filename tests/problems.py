@@ -12,16 +12,25 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp import OCP, Default, Demonstration, KeypointCost, Robot, Weighted, keypoint_ocp, keypoint_state
-from kpirl_ocp.irl.cases.examples import CASES, Case, ScalarLQR, descent, free, iiwa, integrator, lqr, pendulum
+from kpirl_ocp.irl.cases.examples import (
+    CASES,
+    Case,
+    ScalarLQR,
+    converging_descent,
+    iiwa,
+    integrator,
+    lqr,
+    pendulum,
+    unconstrained,
+)
 
 __all__ = [
     "CASES",
     "TABLE",
     "Case",
     "ScalarLQR",
+    "converging_descent",
     "derivatives",
-    "descent",
-    "free",
     "iiwa",
     "integrator",
     "limited_iiwa",
@@ -32,6 +41,7 @@ __all__ = [
     "pendulum",
     "quadratic",
     "swing_up",
+    "unconstrained",
 ]
 
 

@@ -12,10 +12,10 @@ pytest.importorskip("torch")
 
 from kpirl_ocp.episodes import episode_path, read_episode, read_meta
 from kpirl_ocp.errors import EpisodeError, FileError, ProblemError, SceneError
-from kpirl_ocp.perception.data.clips import recordings, unlabelled
+from kpirl_ocp.perception.data.clips import read_recordings, read_videos
 from kpirl_ocp.perception.data.collect import collect
 from kpirl_ocp.perception.data.motions import MOTIONS, HandPlacing, HandWandering, LastJoint, Placing, Reaching, Sines
-from kpirl_ocp.perception.data.recordings import ArmRecording, Recording, Truth, read_hand
+from kpirl_ocp.perception.data.recordings import ArmRecording, GroundTruth, Recording, read_hand
 from kpirl_ocp.perception.detector.tracks import detect_tracks
 from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path, wandering_path
 from kpirl_ocp.perception.scene.scene import Scene
@@ -158,16 +158,16 @@ def test_a_collection_of_a_hand_is_read_as_recordings_or_as_videos(tmp_path):
         *(f"episode_{i:03d}.{suffix}" for i in range(2) for suffix in ("avi", "npz")),
         "meta.json",
     ]
-    clips = recordings(tmp_path)
-    for clip, frames in zip(clips, unlabelled([tmp_path]), strict=True):
+    clips = read_recordings(tmp_path)
+    for clip, frames in zip(clips, read_videos([tmp_path]), strict=True):
         np.testing.assert_array_equal(clip.images, frames)
-    (single,) = unlabelled([tmp_path / "episode_001.avi"])
+    (single,) = read_videos([tmp_path / "episode_001.avi"])
     np.testing.assert_array_equal(single, clips[1].images)
 
 
 def test_a_directory_without_videos_is_refused(tmp_path):
     with pytest.raises(FileError, match=f"{tmp_path.name} holds no"):
-        unlabelled([tmp_path])
+        read_videos([tmp_path])
 
 
 # Collections
@@ -194,10 +194,10 @@ def assert_same(one, two):
 
 
 def test_an_episode_depends_on_its_seed_and_index_only(collected):
-    for clip, expected in zip(recordings(collected), play(MOTION, 3), strict=True):
+    for clip, expected in zip(read_recordings(collected), play(MOTION, 3), strict=True):
         np.testing.assert_array_equal(clip.images, expected.images)
     assert_same(read_episode(episode_path(collected, 2), ArmRecording), play(MOTION, 3)[2])
-    assert not np.array_equal(*(recordings(collected)[i].images for i in (0, 1)))
+    assert not np.array_equal(*(read_recordings(collected)[i].images for i in (0, 1)))
 
 
 def test_two_processes_write_the_same_as_one(collected, tmp_path):
@@ -221,7 +221,7 @@ def test_an_interrupted_collection_goes_on_and_keeps_what_it_has(collection):
     (collection / ".abc.part").write_bytes(b"half an episode")
     before = {index: episode_path(collection, index).stat().st_mtime_ns for index in (0, 2)}
     with pytest.raises(EpisodeError, match=r"episode_001\.npz is missing.*interrupted"):
-        recordings(collection)
+        read_recordings(collection)
     collect(collection, MOTION, 3, SEED)
     assert {index: episode_path(collection, index).stat().st_mtime_ns for index in (0, 2)} == before
     assert_same(read_episode(episode_path(collection, 1), ArmRecording), complete)
@@ -229,9 +229,9 @@ def test_an_interrupted_collection_goes_on_and_keeps_what_it_has(collection):
 
 def test_a_collection_can_grow_and_does_not_shrink(collection):
     collect(collection, MOTION, 4, SEED)
-    assert len(recordings(collection)) == 4
+    assert len(read_recordings(collection)) == 4
     collect(collection, MOTION, 1, SEED)
-    assert len(recordings(collection)) == 4
+    assert len(read_recordings(collection)) == 4
     assert_same(read_episode(episode_path(collection, 3), ArmRecording), play(MOTION, 4)[3])
 
 
@@ -284,7 +284,7 @@ def test_a_truncated_episode_is_named(collection):
     for length in (1, 4, 1000, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:length])
         with pytest.raises(EpisodeError, match=r"episode_001\.npz cannot be read"):
-            recordings(collection)
+            read_recordings(collection)
 
 
 @pytest.mark.parametrize("damage", ["empty", "flipped", "npy"])
@@ -300,18 +300,18 @@ def test_a_damaged_episode_is_named(collection, damage):
         with path.open("wb") as file:
             np.save(file, np.zeros(3))
     with pytest.raises(EpisodeError, match=r"episode_001\.npz"):
-        recordings(collection)
+        read_recordings(collection)
 
 
 def test_an_episode_without_images_is_named_with_what_it_lacks(collection):
-    clip = read_episode(episode_path(collection, 0), Truth)
+    clip = read_episode(episode_path(collection, 0), GroundTruth)
     assert not isinstance(clip, Recording)
     np.savez(episode_path(collection, 0), timestamp=clip.times)
     with pytest.raises(EpisodeError, match=r"episode_000.*masks"):
-        read_episode(episode_path(collection, 0), Truth)
+        read_episode(episode_path(collection, 0), GroundTruth)
     (collection / "meta.json").write_text(json.dumps({"version": 1}))
     with pytest.raises(EpisodeError, match=r"meta\.json must hold"):
-        recordings(collection)
+        read_recordings(collection)
 
 
 def test_tracks_are_what_the_detector_sees_with_what_the_encoders_measured(collected):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 import pytest
-from problems import free, iiwa
+from problems import iiwa, unconstrained
 
 from kpirl_ocp import (
     OCP,
@@ -275,7 +275,7 @@ def test_solution_that_jumped_has_the_gradient_of_the_well_it_is_in(p: float) ->
 def test_redundant_joint_without_effort_is_flagged_and_active_bounds_can_fix_it() -> None:
     case = iiwa(effort=0.0)
     unbounded, bounded = (
-        Implicit(policy="flag")(c.problem, c.demonstration, c.psi).certificate for c in (free(case), case)
+        Implicit(policy="flag")(c.problem, c.demonstration, c.psi).certificate for c in (unconstrained(case), case)
     )
     assert NO_MINIMUM in " ".join(unbounded.failures)
     assert abs(unbounded.curvature) < 1e-12

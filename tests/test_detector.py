@@ -18,7 +18,7 @@ from kpirl_ocp.perception.data.recordings import Recording
 from kpirl_ocp.perception.detector import losses
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.evaluation import on_mask, score
-from kpirl_ocp.perception.detector.keypoints import sharpened
+from kpirl_ocp.perception.detector.keypoints import local_soft_argmax
 from kpirl_ocp.perception.detector.losses import LossWeights
 from kpirl_ocp.perception.detector.training import PRESETS, TERMS, DetectorSettings, resize, train_detector
 
@@ -277,7 +277,7 @@ def test_a_detection_is_the_sharpened_scores_of_the_resized_image(detector):
     assert keypoints.dtype == np.float64
     frames = torch.from_numpy(resize(images, 16)).permute(0, 3, 1, 2) / 255
     with torch.no_grad():
-        expected = sharpened(detector.model.encode(frames).scores)
+        expected = local_soft_argmax(detector.model.encode(frames).scores)
     np.testing.assert_allclose(keypoints, expected, rtol=0, atol=1e-5)
 
 

@@ -12,15 +12,15 @@ from problems import (
     CASES,
     Case,
     ScalarLQR,
+    converging_descent,
     derivatives,
-    descent,
-    free,
     integrator,
     lqr,
     lqr_gradient,
     nothing_to_learn,
     pendulum,
     quadratic,
+    unconstrained,
 )
 
 from kpirl_ocp import (
@@ -42,8 +42,8 @@ METHODS = {
     "implicit": lambda case: Implicit(),
     "implicit_riccati": lambda case: Implicit(Riccati(tolerance=1e-12)),
     "implicit_tight": lambda case: Implicit(TIGHT),
-    "implicit_descent": lambda case: Implicit(descent(case)),
-    "unrolled": lambda case: Unrolled(descent(case)),
+    "implicit_descent": lambda case: Implicit(converging_descent(case)),
+    "unrolled": lambda case: Unrolled(converging_descent(case)),
     "finite_difference": lambda case: FiniteDifference(),
 }
 
@@ -89,7 +89,7 @@ def test_unrolled_gradient_is_the_closed_form_of_the_lqr_iteration(steps: int) -
     u, du = np.zeros(data.horizon), np.zeros((3, data.horizon))
     for _ in range(steps):  # forward mode, where the package uses reverse
         u, du = u - case.step_size * (H @ u + g), du - case.step_size * (du @ H + dH @ u + dg)
-    result = evaluate(Unrolled(descent(case, steps)), case)
+    result = evaluate(Unrolled(converging_descent(case, steps)), case)
     assert error(result.gradient, lqr_gradient(data, u, du)) <= 1e-13
 
 
@@ -128,7 +128,7 @@ def test_gradient_of_a_parameter_of_the_dynamics_alone_is_the_formula(method: st
 
 
 def named(name: str) -> Case:
-    return free(CASES[name.removeprefix("free_")]()) if name.startswith("free_") else CASES[name]()
+    return unconstrained(CASES[name.removeprefix("free_")]()) if name.startswith("free_") else CASES[name]()
 
 
 @lru_cache
@@ -138,7 +138,7 @@ def reference(case: Case) -> HypergradientResult:
     Where it applies the solver is gradient descent, because Ipopt ends at a barrier parameter of about its tolerance,
     and its finite differences are those of the problem so smoothed: on the iiwa 1.5e-8 off at the default 1e-10.
     """
-    solver = TIGHT if case.problem.has_state_constraints else descent(case)
+    solver = TIGHT if case.problem.has_state_constraints else converging_descent(case)
     return evaluate(FiniteDifference(solver), case)
 
 
@@ -183,8 +183,8 @@ def test_method_agrees_with_finite_differences_of_the_solution(name: str, method
 )
 def test_unrolled_differentiates_a_descent_that_stops_early(name: str, steps: int, tolerance: float) -> None:
     case = named(name)
-    result = evaluate(Unrolled(descent(case, steps)), case)
-    expected = evaluate(FiniteDifference(descent(case, steps)), case)
+    result = evaluate(Unrolled(converging_descent(case, steps)), case)
+    expected = evaluate(FiniteDifference(converging_descent(case, steps)), case)
     assert error(result.gradient, expected.gradient) <= tolerance
     assert result.loss == pytest.approx(expected.loss, rel=1e-13)
 
@@ -196,7 +196,7 @@ def test_unrolled_tends_to_implicit_at_the_rate_of_the_descent(name: str, steps:
     exact = evaluate(Implicit(), case)
     H = derivatives(case, exact.certificate.solution.actions)[0]
     rho = np.abs(1 - case.step_size * np.linalg.eigvalsh(H)).max()
-    errors = [error(evaluate(Unrolled(descent(case, N)), case).gradient, exact.gradient) for N in steps]
+    errors = [error(evaluate(Unrolled(converging_descent(case, N)), case).gradient, exact.gradient) for N in steps]
     for before, after, N, M in zip(errors, errors[1:], steps, steps[1:], strict=False):
         assert after <= 1.2 * rho ** (M - N) * M / N * before
 
@@ -205,13 +205,13 @@ def test_unrolled_tends_to_implicit_at_the_rate_of_the_descent(name: str, steps:
 @pytest.mark.parametrize(("name", "tolerance"), [("lqr", 1e-14), ("pendulum", 1e-14), ("iiwa", 1e-13)])
 def test_truncated_is_the_neumann_series_at_a_converged_point(name: str, last: int, tolerance: float) -> None:
     case = named(name)
-    solution = descent(case).solve(case.problem, case.demonstration.s0, case.psi, case.demonstration.context)
+    solution = converging_descent(case).solve(case.problem, case.demonstration.s0, case.psi, case.demonstration.context)
     H, C, v, expected = derivatives(case, solution.actions)
     inside = (solution.multipliers.action == 0).ravel()  # actions on a bound do not move
     for _ in range(last):
         expected = expected - case.step_size * C.T @ (inside * v)
         v = inside * v - case.step_size * H @ (inside * v)
-    result = evaluate(Truncated(descent(case, 30), last), case, guess=solution)
+    result = evaluate(Truncated(converging_descent(case, 30), last), case, guess=solution)
     assert error(result.gradient, expected) <= tolerance
     assert "steps are left out" in " ".join(result.certificate.failures)
     assert result.certificate.differentiated == last
@@ -220,7 +220,9 @@ def test_truncated_is_the_neumann_series_at_a_converged_point(name: str, last: i
 @pytest.mark.parametrize("name", ["lqr", "pendulum", "iiwa"])
 def test_truncated_after_all_steps_is_unrolled_exactly(name: str) -> None:
     case = named(name)
-    unrolled, truncated = (evaluate(m, case) for m in (Unrolled(descent(case, 5)), Truncated(descent(case, 5), 5)))
+    unrolled, truncated = (
+        evaluate(m, case) for m in (Unrolled(converging_descent(case, 5)), Truncated(converging_descent(case, 5), 5))
+    )
     np.testing.assert_array_equal(truncated.gradient, unrolled.gradient)
     assert truncated.loss == unrolled.loss
     assert truncated.certificate.certified

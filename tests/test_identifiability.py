@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 
 from kpirl_ocp import OCP, Demonstration, FiniteDifference, GradientDescent, Implicit, Riccati, Unrolled
 from kpirl_ocp.errors import CertificateError, ProblemError
-from kpirl_ocp.irl.cases.examples import CASES, descent, free
+from kpirl_ocp.irl.cases.examples import CASES, converging_descent, unconstrained
 from kpirl_ocp.irl.identifiability.design import expected_information
 from kpirl_ocp.irl.identifiability.gains import squared_gains, stiffness
 from kpirl_ocp.irl.identifiability.identify import estimate_noise, identify
@@ -64,8 +64,8 @@ def test_the_derivative_of_the_converged_plan_is_that_of_finite_differences(name
 
 @pytest.mark.parametrize("name", ["lqr", "iiwa"])
 def test_the_derivative_of_gradient_steps_is_that_of_finite_differences(name):
-    case = free(CASES[name]())
-    solver = descent(case, 3)
+    case = unconstrained(CASES[name]())
+    solver = converging_descent(case, 3)
     found = plan_jacobian(case.problem, case.demonstration, case.psi, Unrolled(solver))
     for k, direction in enumerate(np.eye(len(case.psi))):
         ends = [
@@ -78,8 +78,8 @@ def test_the_derivative_of_gradient_steps_is_that_of_finite_differences(name):
 
 
 def test_both_derivatives_agree_once_the_gradient_steps_have_converged():
-    case = free(CASES["lqr"]())
-    steps = plan_jacobian(case.problem, case.demonstration, case.psi, Unrolled(descent(case)))
+    case = unconstrained(CASES["lqr"]())
+    steps = plan_jacobian(case.problem, case.demonstration, case.psi, Unrolled(converging_descent(case)))
     converged = plan_jacobian(case.problem, case.demonstration, case.psi, Implicit())
     np.testing.assert_allclose(steps.jacobian, converged.jacobian, atol=1e-8)
 
@@ -124,7 +124,7 @@ def test_the_posterior_is_the_inverse_of_information_and_prior():
 
 
 def test_units_of_psi_do_not_change_how_many_directions_are_known():
-    case, units = free(CASES["iiwa"]()), np.array([1e3, 1, 1, 1e-3, 1, 1, 1, 1, 1, 1.0])
+    case, units = unconstrained(CASES["iiwa"]()), np.array([1e3, 1, 1, 1e-3, 1, 1, 1, 1, 1, 1.0])
     found = identify(case.problem, [case.demonstration], case.psi, units, noise=1e-3)
     jacobian = plan_jacobian(case.problem, case.demonstration, case.psi, Implicit()).jacobian * units
     np.testing.assert_allclose(found.eigenvalues, np.linalg.svd(jacobian)[1] ** 2, rtol=1e-6, atol=1e-9)

@@ -8,7 +8,14 @@ import torch
 
 from kpirl_ocp.perception.detector import losses
 from kpirl_ocp.perception.detector.autoencoder import BasicBlock, Encoded, KeypointAutoencoder
-from kpirl_ocp.perception.detector.keypoints import centres, expectation, gaussian_maps, sharpened, spot, to_pixels
+from kpirl_ocp.perception.detector.keypoints import (
+    cell_centres,
+    gaussian_maps,
+    local_soft_argmax,
+    soft_argmax,
+    spatial_softmax,
+    to_pixels,
+)
 
 torch.set_num_threads(1)
 
@@ -21,7 +28,7 @@ def assert_close(actual, expected, atol=1e-6):
 
 
 def scores_of(probability):
-    """Scores whose `spot` is proportional to a map that is nowhere negative."""
+    """Scores whose `spatial_softmax` is proportional to a map that is nowhere negative."""
     return torch.log(torch.as_tensor(probability))
 
 
@@ -47,46 +54,51 @@ def test_the_image_reaches_from_minus_one_to_one():
 
 
 def test_the_centre_of_a_cell_is_in_the_middle_of_its_pixels():
-    assert_close(to_pixels(torch.stack([centres(60), centres(60)], -1), 240)[:, 0], 4 * np.arange(60) + 2.0, atol=1e-4)
-    assert_close(centres(4), [-0.75, -0.25, 0.25, 0.75])
+    assert_close(
+        to_pixels(torch.stack([cell_centres(60), cell_centres(60)], -1), 240)[:, 0], 4 * np.arange(60) + 2.0, atol=1e-4
+    )
+    assert_close(cell_centres(4), [-0.75, -0.25, 0.25, 0.75])
 
 
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (3, 11), (14, 7)])
 def test_the_expectation_of_a_single_cell_is_its_centre(row, column):
     x, y = (2 * column + 1) / CELLS - 1, (2 * row + 1) / CELLS - 1
-    for read in (expectation, sharpened):
+    for read in (soft_argmax, local_soft_argmax):
         assert_close(read(scores_of(peaks((row, column)))), [[x, y, 1.0]])
 
 
 def test_a_spot_is_a_distribution_over_the_cells_that_no_constant_changes():
     scores = torch.randn(2, 3, 4, 5, generator=torch.Generator().manual_seed(6))
-    assert_close(spot(scores).sum((-2, -1)), torch.ones(2, 3))
+    assert_close(spatial_softmax(scores).sum((-2, -1)), torch.ones(2, 3))
     assert_close(
-        spot(scores)[1, 2, 3, 4] / spot(scores)[1, 2, 0, 1], torch.exp(scores[1, 2, 3, 4] - scores[1, 2, 0, 1])
+        spatial_softmax(scores)[1, 2, 3, 4] / spatial_softmax(scores)[1, 2, 0, 1],
+        torch.exp(scores[1, 2, 3, 4] - scores[1, 2, 0, 1]),
     )
-    assert_close(spot(scores + 7.0), spot(scores))
+    assert_close(spatial_softmax(scores + 7.0), spatial_softmax(scores))
 
 
 def test_a_spot_is_the_share_of_each_cell_for_scores_of_any_size():
     heat = torch.rand(2, 3, 5, 7, generator=torch.Generator().manual_seed(7))
-    assert_close(spot(scores_of(heat)), heat / heat.sum((-2, -1), keepdim=True))
-    assert_close(spot(torch.full((2, 5, 7), -8.0)), torch.full((2, 5, 7), 1 / 35))
-    assert_close(spot(np.log(3) * peaks((1, 2), size=3)), (torch.ones(1, 3, 3) + 2 * peaks((1, 2), size=3)) / 11)
+    assert_close(spatial_softmax(scores_of(heat)), heat / heat.sum((-2, -1), keepdim=True))
+    assert_close(spatial_softmax(torch.full((2, 5, 7), -8.0)), torch.full((2, 5, 7), 1 / 35))
+    assert_close(
+        spatial_softmax(np.log(3) * peaks((1, 2), size=3)), (torch.ones(1, 3, 3) + 2 * peaks((1, 2), size=3)) / 11
+    )
     for constant in (-1e4, 1e4):
-        assert_close(spot(1e4 * peaks((3, 5)) + constant), peaks((3, 5)))
+        assert_close(spatial_softmax(1e4 * peaks((3, 5)) + constant), peaks((3, 5)))
 
 
 def test_the_expectation_of_two_equal_cells_is_half_way_and_of_a_uniform_map_the_middle():
     heat = peaks((2, 4)) + peaks((6, 12))
-    assert_close(expectation(scores_of(heat))[0, :2], expectation(scores_of(peaks((4, 8))))[0, :2])
-    assert_close(expectation(torch.ones(1, CELLS, 9)), [[0.0, 0.0, 1.0]])
+    assert_close(soft_argmax(scores_of(heat))[0, :2], soft_argmax(scores_of(peaks((4, 8))))[0, :2])
+    assert_close(soft_argmax(torch.ones(1, CELLS, 9)), [[0.0, 0.0, 1.0]])
 
 
 def test_a_shift_of_the_scores_shifts_the_keypoints_by_the_same():
     heat = torch.zeros(3, CELLS, CELLS)
     heat[:, 3:8, 2:7] = torch.rand(3, 5, 5, generator=torch.Generator().manual_seed(0))
     moved = torch.roll(heat, (4, 6), (1, 2))
-    for read in (expectation, sharpened):
+    for read in (soft_argmax, local_soft_argmax):
         assert_close(
             read(scores_of(moved)) - read(scores_of(heat)),
             torch.tensor([6 * 2 / CELLS, 4 * 2 / CELLS, 0.0]).expand(3, 3),
@@ -95,11 +107,11 @@ def test_a_shift_of_the_scores_shifts_the_keypoints_by_the_same():
 
 def test_mu_is_the_mean_heat_beside_the_largest():
     heat = torch.stack([torch.full((8, 8), 0.5), torch.full((8, 8), 2.0), torch.full((8, 8), 1.0)])
-    for read in (expectation, sharpened):
+    for read in (soft_argmax, local_soft_argmax):
         assert_close(read(scores_with_heat(heat))[:, 2], [0.25, 1.0, 0.5])
     heat[0, :4], heat[0, 4:] = 0.2, 0.8  # uneven; its mean is still 0.5
     alone = peaks((1, 1), (2, 2), size=8) * torch.tensor([1.0, 3.0])[:, None, None]
-    for read in (expectation, sharpened):
+    for read in (soft_argmax, local_soft_argmax):
         assert_close(read(scores_with_heat(heat))[:, 2], [0.25, 1.0, 0.5])
         assert_close(read(scores_of(alone))[:, 2], [0.5, 1.0])  # log(1 + 1) / log(1 + 3)
         assert_close(read(torch.stack([torch.zeros(8, 8), torch.full((8, 8), 50.0)]))[:, 2], [np.log(2) / 50, 1.0])
@@ -107,26 +119,26 @@ def test_mu_is_the_mean_heat_beside_the_largest():
 
 def test_frames_of_a_batch_are_read_one_by_one():
     anything = torch.randn(2, 3, 4, CELLS, CELLS, generator=torch.Generator().manual_seed(1))
-    for read in (expectation, sharpened, spot):
+    for read in (soft_argmax, local_soft_argmax, spatial_softmax):
         assert_close(read(anything)[1, 2], read(anything[1, 2]))
 
 
 def test_sharpened_ignores_a_weaker_peak_far_away_and_expectation_does_not():
     heat = peaks((4, 4)) + 0.8 * peaks((12, 11))
-    assert_close(sharpened(scores_of(heat))[0, :2], expectation(scores_of(peaks((4, 4))))[0, :2])
-    assert (expectation(scores_of(heat))[0, :2] - sharpened(scores_of(heat))[0, :2]).abs().min() > 0.3
+    assert_close(local_soft_argmax(scores_of(heat))[0, :2], soft_argmax(scores_of(peaks((4, 4))))[0, :2])
+    assert (soft_argmax(scores_of(heat))[0, :2] - local_soft_argmax(scores_of(heat))[0, :2]).abs().min() > 0.3
 
 
 def test_sharpened_keeps_what_is_within_its_radius_also_at_the_edge():
     heat = peaks((0, 0)) + 0.5 * peaks((2, 2)) + 0.5 * peaks((0, 3))
     near = peaks((0, 0)) + 0.5 * peaks((2, 2))
-    assert_close(sharpened(scores_of(heat))[0, :2], expectation(scores_of(near))[0, :2])
+    assert_close(local_soft_argmax(scores_of(heat))[0, :2], soft_argmax(scores_of(near))[0, :2])
     anything = torch.rand(2, CELLS, CELLS, generator=torch.Generator().manual_seed(2))
-    assert_close(sharpened(anything, radius=CELLS), expectation(anything))
+    assert_close(local_soft_argmax(anything, radius=CELLS), soft_argmax(anything))
 
 
 def test_a_gaussian_map_has_height_mu_at_its_keypoint_and_falls_with_its_width():
-    x, y = float(centres(CELLS)[9]), float(centres(CELLS)[4])
+    x, y = float(cell_centres(CELLS)[9]), float(cell_centres(CELLS)[4])
     maps = gaussian_maps(torch.tensor([[x, y, 0.7]]), CELLS, width=2.0)[0]
     assert divmod(int(maps.argmax()), CELLS) == (4, 9)  # rows are y, columns are x
     assert_close(maps[4, [9, 11, 7]], 0.7 * np.exp([0.0, -0.5, -0.5]))
@@ -138,10 +150,10 @@ def test_keypoints_survive_gaussian_maps_and_expectation():
     rng = np.random.default_rng(3)
     keypoints = torch.from_numpy(np.column_stack([rng.uniform(-0.2, 0.2, (5, 2)), [1, 0.9, 0.5, 0.2, 0.1]])).float()
     maps = scores_of(gaussian_maps(keypoints, 25))
-    for places in (expectation(maps), sharpened(maps, radius=12)):
+    for places in (soft_argmax(maps), local_soft_argmax(maps, radius=12)):
         assert_close(places[:, :2], keypoints[:, :2], 1e-5)
     faint = maps + np.log(1e-5)  # log(1 + h) is h
-    for places in (expectation(faint), sharpened(faint, radius=12)):
+    for places in (soft_argmax(faint), local_soft_argmax(faint, radius=12)):
         assert_close(places, keypoints, 1e-5)
 
 
@@ -312,7 +324,7 @@ def test_shifted_moves_pixels_right_and_down_by_half_a_side_per_unit(right, down
 def test_keypoints_of_shifted_heat_are_the_shifted_keypoints():
     keypoints = torch.tensor([[-0.1, 0.2, 1.0], [0.15, 0.05, 1.0], [0.0, -0.2, 1.0]])
     offset = torch.tensor([[0.237, -0.111]])
-    moved = expectation(scores_of(losses.shifted(gaussian_maps(keypoints, 40)[None], offset)))
+    moved = soft_argmax(scores_of(losses.shifted(gaussian_maps(keypoints, 40)[None], offset)))
     assert_close(moved[0, :, :2], keypoints[:, :2] + offset, atol=1e-4)
     assert_close(losses.equivariance(moved, keypoints[None], offset), 0.0, atol=1e-4)
 
@@ -362,7 +374,7 @@ def test_a_map_of_scores_has_a_quarter_of_the_side_of_the_image(model, clips):
     assert keypoints.shape == (5, 3, 3)
     assert (keypoints[..., :2].abs() < 1).all()
     assert_close(keypoints[..., 2].amax(-1), torch.ones(5))
-    assert_close(keypoints, expectation(scores))
+    assert_close(keypoints, soft_argmax(scores))
 
 
 def test_the_forward_pass_encodes_each_frame_by_itself(model, clips):

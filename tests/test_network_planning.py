@@ -173,7 +173,7 @@ def test_several_demonstrations_together_give_what_each_gives_alone(name):
     problem = network_problem() if name == "network" else replace(pendulum().problem)
     found = demonstrations(problem, 5) if name == "network" else [pendulum().demonstration] * 2
     psi, method = psi_of(problem), Unrolled(GradientDescent(STEPS, 0.02))
-    for one, alone in zip(method.together(problem, found, psi), (method(problem, d, psi) for d in found), strict=True):
+    for one, alone in zip(method.batch(problem, found, psi), (method(problem, d, psi) for d in found), strict=True):
         assert one.loss == pytest.approx(alone.loss, rel=1e-14)
         assert error(one.gradient, alone.gradient) <= 1e-12
         np.testing.assert_allclose(one.certificate.solution.states, alone.certificate.solution.states, atol=1e-13)
@@ -187,7 +187,7 @@ def test_projected_demonstrations_together_keep_their_own_kink_distance():
     problem = replace(network_problem(), action_bounds=(-0.02, 0.02))
     found, psi = demonstrations(problem, 3), psi_of(problem)
     method = Unrolled(GradientDescent(STEPS, 0.02, project=True))
-    together = [result.certificate for result in method.together(problem, found, psi)]
+    together = [result.certificate for result in method.batch(problem, found, psi)]
     alone = [method(problem, demonstration, psi).certificate for demonstration in found]
     distances = [certificate.kink_distance for certificate in together]
     np.testing.assert_allclose(distances, [certificate.kink_distance for certificate in alone], rtol=1e-10)

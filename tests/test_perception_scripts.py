@@ -15,7 +15,7 @@ pytest.importorskip("pybullet")
 pytest.importorskip("torch")
 from safetensors.numpy import load_file
 
-from kpirl_ocp.perception.data.clips import recordings
+from kpirl_ocp.perception.data.clips import read_recordings
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.dynamics.model import DynamicsModel
 
@@ -76,15 +76,15 @@ def metrics(directory):
 
 
 def test_collected_data_are_read_back(data):
-    assert [len(clip.images) for clip in recordings(data / "keypoints")] == [6, 6]
-    assert [len(clip.images) for clip in recordings(data / "hand-wandering")] == [6]
+    assert [len(clip.images) for clip in read_recordings(data / "keypoints")] == [6, 6]
+    assert [len(clip.images) for clip in read_recordings(data / "hand-wandering")] == [6]
     assert json.loads((data / "sines" / "meta.json").read_text())["settings"]["steps"] == 6
 
 
 def test_training_keypoints_writes_a_detector_its_scores_and_pictures(data, trained):
     out = data / "detector"
     detector = KeypointDetector.load(out / "detector.json")
-    keypoints = detector.detect(recordings(data / "keypoints")[0].images)
+    keypoints = detector.detect(read_recordings(data / "keypoints")[0].images)
     assert keypoints.shape == (6, detector.model.head.out_channels, 3)
     found = metrics(out)
     assert found["steps"] == 3
@@ -137,7 +137,7 @@ def test_a_collection_that_was_killed_goes_on(tmp_path):
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("episode_*.npz")}
     assert kept
     succeed(*arguments)
-    assert len(recordings(tmp_path)) == 12
+    assert len(read_recordings(tmp_path)) == 12
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
 
 

@@ -12,7 +12,7 @@ pytest.importorskip("cv2")
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant, Disturbance
 from kpirl_ocp.perception.scene.bodies import BOTTLE
 from kpirl_ocp.perception.scene.camera import Camera
-from kpirl_ocp.perception.scene.posture import carry
+from kpirl_ocp.perception.scene.posture import inverse_kinematics
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.perception.scene.world import Frame
 
@@ -33,7 +33,7 @@ def frame():
 
 
 def spoilt(disturbance, look=0):
-    return disturbance.spoil(frame(), FixedDetector([]), look, np.random.default_rng(0))
+    return disturbance.apply(frame(), FixedDetector([]), look, np.random.default_rng(0))
 
 
 def test_an_undisturbed_image_is_the_frame():
@@ -68,7 +68,7 @@ def test_a_point_of_the_arms_plane_is_found_where_the_camera_sees_it(point):
 def test_a_plant_acts_on_the_scene_and_remembers_every_look():
     detector = FixedDetector([])
     with Scene(rate=1) as scene:
-        start = carry(0.62, 0.55)
+        start = inverse_kinematics(0.62, 0.55)
         scene.reset(start)
         plant = CameraPlant(scene, detector, Disturbance(noise=3.0))
         first = plant.look()

@@ -12,7 +12,7 @@ import torch
 
 from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
-from kpirl_ocp.perception.data.clips import recordings
+from kpirl_ocp.perception.data.clips import read_recordings
 from kpirl_ocp.perception.data.collect import collect
 from kpirl_ocp.perception.data.motions import HandPlacing, LastJoint, Placing, Sines
 from kpirl_ocp.perception.detector.detector import KeypointDetector
@@ -48,14 +48,14 @@ def card(name):
 
 @pytest.mark.parametrize(("name", "bar"), [("keypoints", 4.0), ("sines", 6.0), ("placing", 6.0)])
 def test_the_detector_follows_the_bottle_as_its_card_says(fresh, detector, name, bar):
-    found = score(detector, recordings(fresh[name]))
+    found = score(detector, read_recordings(fresh[name]))
     assert found.error.mean() < bar
     assert found.error.mean() < 1.5 * card("detector")["metrics"][name]["error"] + 0.5
     assert found.on_object >= 3
 
 
 def test_the_detector_follows_the_bottle_in_a_hand(fresh, detector):
-    assert np.median(score(detector, recordings(fresh["hand-placing"])).displacement) < 10
+    assert np.median(score(detector, read_recordings(fresh["hand-placing"])).displacement) < 10
 
 
 @pytest.mark.parametrize(("model", "data"), [("reaching", "sines"), ("placing", "placing")])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from kpirl_ocp.errors import FileError
-from kpirl_ocp.perception.data.clips import unlabelled
+from kpirl_ocp.perception.data.clips import read_videos
 from kpirl_ocp.perception.data.encoding import write_video
-from kpirl_ocp.perception.data.video import every, iterate_frames, read_demonstration, sampled, sampled_frames
+from kpirl_ocp.perception.data.video import iterate_frames, read_demonstration, sample_indices, sampled, sampled_frames
 
 HEIGHT, WIDTH = 48, 64
 QUARTERS = ((200, 40, 40), (40, 200, 40), (40, 40, 200), (200, 200, 40))  # top left and right, bottom left and right
@@ -127,7 +127,7 @@ def test_sampling_takes_the_nearest_item_and_ends_with_the_last():
     assert [item for _, item in sampled(items, 10)] == ["a", "b", "d", "e"]
     assert [item for _, item in sampled(items, 10, start=0.15)] == ["c", "d", "e"]
     assert [item for _, item in sampled([], 10)] == []
-    assert every(25, 24, 5).tolist() == [0, 5, 10, 14, 19, 24]
+    assert sample_indices(25, 24, 5).tolist() == [0, 5, 10, 14, 19, 24]
 
 
 def test_a_long_film_is_read_in_the_memory_of_its_result(tmp_path):
@@ -238,10 +238,10 @@ def test_pictures_of_several_sizes_are_refused(tmp_path):
 def test_a_directory_of_videos_of_any_kind_is_read_in_natural_order(tmp_path):
     for index in (10, 2, 1):
         film(tmp_path / f"clip{index}.{'m4v' if index == 2 else 'mov'}", "libx264", "yuv420p", [grey(20 * index)] * 7)
-    assert [round(clip.mean() / 20) for clip in unlabelled([tmp_path])] == [1, 2, 10]
+    assert [round(clip.mean() / 20) for clip in read_videos([tmp_path])] == [1, 2, 10]
     (tmp_path / "empty").mkdir()
     with pytest.raises(FileError, match="holds no video"):
-        unlabelled([tmp_path / "empty"])
+        read_videos([tmp_path / "empty"])
 
 
 def test_a_video_is_not_told_its_frame_rate(tmp_path):

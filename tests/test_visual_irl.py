@@ -12,8 +12,8 @@ from kpirl_ocp.irl.learning.evaluation import relative_distance
 from kpirl_ocp.irl.visual.closed_loop import KeypointController
 from kpirl_ocp.irl.visual.demonstrations import (
     moving_keypoints,
-    own_demonstration,
     positions,
+    robot_demonstration,
     transferred_demonstration,
 )
 from kpirl_ocp.irl.visual.learning import (
@@ -89,7 +89,7 @@ def test_mu_is_no_part_of_z():
 def test_a_robots_own_demonstration_is_what_was_seen_from_where_it_was():
     keypoints = track([[0, 0], [0.1, 0]], [[0.3, 0], [0.4, 0]])
     joints = np.arange(T + 1.0)[:, None] * np.ones(N_Q)
-    seen = own_demonstration(
+    seen = robot_demonstration(
         DYNAMICS, ArmTrack(keypoints, np.arange(T + 1.0), joints, 2 * joints + 1, np.diff(joints, axis=0))
     )
     assert np.array_equal(seen.s0, [0, 0, 0.1, 0, 0, 0, 0, 1, 1, 1])

@@ -51,7 +51,7 @@ def ours(data: NetworkCase) -> Evaluation:
     method, psi = Unrolled(GradientDescent(data.steps, data.step_size)), data.psi.ravel()
 
     def evaluate() -> tuple[float, Array]:
-        results = method.together(data.problem, data.demonstrations, psi)
+        results = method.batch(data.problem, data.demonstrations, psi)
         gradient = np.mean([result.gradient for result in results], axis=0)
         return float(np.mean([result.loss for result in results])), gradient.reshape(data.psi.shape)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kpirl_ocp.irl.cases.examples import CASES, Case, descent, free
+from kpirl_ocp.irl.cases.examples import CASES, Case, converging_descent, unconstrained
 from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 from kpirl_ocp.irl.hypergradients.finite_difference import FiniteDifference
 from kpirl_ocp.irl.hypergradients.implicit import Implicit
@@ -45,9 +45,9 @@ class Measurement:
 def methods(case: Case, steps: list[int]) -> Iterator[tuple[str, int, Hypergradient]]:
     """Name, N and hypergradient of everything that is compared; all flag, none raises."""
     for n in steps:
-        yield "unrolled", n, Unrolled(descent(case, n), policy="flag")
-        yield f"truncated to {TRUNCATION}", n, Truncated(descent(case, n), min(n, TRUNCATION))
-        yield "implicit (descent)", n, Implicit(descent(case, n), policy="flag")
+        yield "unrolled", n, Unrolled(converging_descent(case, n), policy="flag")
+        yield f"truncated to {TRUNCATION}", n, Truncated(converging_descent(case, n), min(n, TRUNCATION))
+        yield "implicit (descent)", n, Implicit(converging_descent(case, n), policy="flag")
     yield "implicit (Riccati)", 0, Implicit(policy="flag")
     yield "finite difference", 0, FiniteDifference(policy="flag")
 
@@ -66,8 +66,8 @@ def relative_error(gradient: Array, exact: Array) -> float:
 
 def measure_all(name: str, steps: list[int], done: Callable[[Measurement], None]) -> list[Measurement]:
     """Measure every method on the example `name` without its constraints, each in a process of its own."""
-    exact, _ = reference(free(CASES[name]()))
-    count = len(list(methods(free(CASES[name]()), steps)))
+    exact, _ = reference(unconstrained(CASES[name]()))
+    count = len(list(methods(unconstrained(CASES[name]()), steps)))
     results = []
     for index in range(count):
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -77,7 +77,7 @@ def measure_all(name: str, steps: list[int], done: Callable[[Measurement], None]
 
 
 def _measure(name: str, steps: list[int], index: int, exact: Array) -> Measurement:
-    case = free(CASES[name]())
+    case = unconstrained(CASES[name]())
     label, n, method = list(methods(case, steps))[index]
     case.problem.simulate(case.demonstration.s0, np.zeros((case.problem.horizon, case.problem.n_actions)), case.psi)
     before = _reset_peak_memory()
@@ -113,8 +113,8 @@ def median_seconds(call: Callable[[], object], budget: float = 1.0, most: int = 
 
 def learn_with_each(name: str, steps: list[int], iterations: int, learning_rate: float) -> dict[str, LearningResult]:
     """Learn psi on the example `name` without its constraints: unrolled for each N, and implicit."""
-    case = free(CASES[name]())
-    contenders: dict[str, Hypergradient] = {f"unrolled, N = {n}": Unrolled(descent(case, n)) for n in steps}
+    case = unconstrained(CASES[name]())
+    contenders: dict[str, Hypergradient] = {f"unrolled, N = {n}": Unrolled(converging_descent(case, n)) for n in steps}
     contenders["implicit (Riccati)"] = Implicit()
     results = {}
     for label, method in contenders.items():

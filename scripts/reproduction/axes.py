@@ -12,7 +12,7 @@ import numpy as np
 
 from kpirl_ocp.episodes import ArmTrack
 from kpirl_ocp.irl.learning.evaluation import evaluate
-from kpirl_ocp.irl.visual.demonstrations import own_demonstration
+from kpirl_ocp.irl.visual.demonstrations import robot_demonstration
 from kpirl_ocp.irl.visual.planning_costs import planning_problem
 from kpirl_ocp.types import Demonstration
 from reproduction import reaching
@@ -29,7 +29,7 @@ def jobs(
 ) -> list[Job]:
     """One for every cost that was learned from the most demonstrations."""
     dynamics = models.load_dynamics("reaching")
-    test = [own_demonstration(dynamics, track) for track in tracks[-preset.tests :]]
+    test = [robot_demonstration(dynamics, track) for track in tracks[-preset.tests :]]
     names = [
         reaching.name_of(contender, max(preset.demonstrations), seed) for contender in CONTENDERS for seed in seeds
     ]

@@ -15,7 +15,7 @@ from kpirl_ocp.episodes import ArmTrack, KeypointTrack
 from kpirl_ocp.errors import ModelError
 from kpirl_ocp.irl.cases.planar_arm import planar_dynamics
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
-from kpirl_ocp.perception.data.clips import recordings
+from kpirl_ocp.perception.data.clips import read_recordings
 from kpirl_ocp.perception.data.collect import collect
 from kpirl_ocp.perception.data.motions import HandPlacing, Reaching
 from kpirl_ocp.perception.detector.detector import KeypointDetector
@@ -100,7 +100,7 @@ def prepare(directory: Path, models: Models, reaching: int, validation: int, cli
 
     def hand(name: str, count: int, seed: int) -> list[HandClip]:
         place = collect(directory / name, HandPlacing(), count, seed, workers)
-        return [_clip(detector, recording) for recording in recordings(place)[:count]]
+        return [_clip(detector, recording) for recording in read_recordings(place)[:count]]
 
     return Data(
         arm("reaching", reaching, _REACHING),

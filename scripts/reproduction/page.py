@@ -11,7 +11,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from kpirl_ocp.episodes import replacing
+from kpirl_ocp.episodes import atomic_write
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>
@@ -70,9 +70,9 @@ class Page:
     def write(self, path: Path) -> Path:
         """The page on disk; it appears whole or not at all. Its figures are figure_01.png, ... beside it."""
         for number, data in enumerate(self._figures, 1):
-            with replacing(path.with_name(f"figure_{number:02d}.png")) as file:
+            with atomic_write(path.with_name(f"figure_{number:02d}.png")) as file:
                 file.write(data)
-        with replacing(path) as file:
+        with atomic_write(path) as file:
             file.write(_PAGE.format(title=html.escape(self.title), body="\n".join(self._parts)).encode())
         path.chmod(0o644)
         return path

@@ -13,7 +13,7 @@ import numpy as np
 from kpirl_ocp.episodes import ArmTrack
 from kpirl_ocp.irl.learning.evaluation import evaluate, relative_distance
 from kpirl_ocp.irl.visual.closed_loop import KeypointController
-from kpirl_ocp.irl.visual.demonstrations import moving_keypoints, own_demonstration, positions
+from kpirl_ocp.irl.visual.demonstrations import moving_keypoints, positions, robot_demonstration
 from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.irl.visual.planning_costs import planning_problem
 from kpirl_ocp.types import Demonstration, Mask
@@ -53,7 +53,7 @@ def jobs(
 ) -> list[Job]:
     """One for every contender, number of demonstrations and seed."""
     dynamics = models.load_dynamics("reaching")
-    demonstrations = [own_demonstration(dynamics, track) for track in tracks]
+    demonstrations = [robot_demonstration(dynamics, track) for track in tracks]
     test = demonstrations[-preset.tests :]
     pool = demonstrations[: -preset.tests]
     found = []
@@ -136,7 +136,7 @@ def execute(models: Models, tracks: list[ArmTrack], learned: Result, closed_loop
     distances, errors = [], []
     with Scene(rate=RATE) as scene:
         for track in tracks:
-            demonstration = own_demonstration(dynamics, track)
+            demonstration = robot_demonstration(dynamics, track)
             scene.reset(track.joints[0])
             done = controller.run(CameraPlant(scene, detector), demonstration.context)
             distances.append(relative_distance(positions(done.keypoints), demonstration))

@@ -19,7 +19,7 @@ import joblib
 import numpy as np
 from tqdm import tqdm
 
-from kpirl_ocp.episodes import replacing
+from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import ProblemError
 
 Result = dict[str, Any]
@@ -52,7 +52,7 @@ def run_sweep(title: str, jobs: Sequence[Job], directory: Path, workers: int) ->
     parallel = joblib.Parallel(workers, return_as="generator_unordered")
     finished = parallel(joblib.delayed(_call)(job) for job in missing)
     for name, result in tqdm(finished, title, initial=len(jobs) - len(missing), total=len(jobs), unit="job"):
-        with replacing(paths[name]) as file:
+        with atomic_write(paths[name]) as file:
             np.savez_compressed(file, allow_pickle=False, **result)
     return {name: _read(path) for name, path in paths.items()}
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.certificate import seen
+from kpirl_ocp.irl.hypergradients.certificate import demonstrated_observations
 from kpirl_ocp.ocp.conditions.program import transcribe
 from kpirl_ocp.ocp.problem.layout import equality_multipliers, given, limits, n_inequalities, pack
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -69,7 +69,7 @@ def single_level(
         w[free] = unknowns
         constraints += [program.first(w, psi, demo.context, lam, [])[1][free], program.values(w, psi, demo.context)[1]]
         states = ca.reshape(w[: problem.n_states * (problem.horizon + 1)], problem.n_states, problem.horizon + 1)
-        loss += ca.sumsqr(problem.observe(states) - seen(problem, demo))
+        loss += ca.sumsqr(problem.observe(states) - demonstrated_observations(problem, demo))
     nlp = {"x": ca.vertcat(*variables), "f": loss / len(demonstrations), "g": ca.vertcat(*constraints)}
     ipopt = ca.nlpsol("single_level", "ipopt", nlp, {"ipopt": _IPOPT | {"max_iter": max_iterations}, **_QUIET})
     lower = np.full(nlp["x"].numel(), -np.inf)

@@ -1,6 +1,6 @@
 """Small named problems with a demonstration and psi each; built once, so that compiled functions are shared.
 
-Use: `lqr()`, `integrator()`, `pendulum()`, `iiwa()`, or `CASES["lqr"]()`; `free(case)` drops the constraints.
+Use: `lqr()`, `integrator()`, `pendulum()`, `iiwa()`, or `CASES["lqr"]()`; `unconstrained(case)` drops the constraints.
 """
 
 from __future__ import annotations
@@ -135,11 +135,11 @@ CASES = {"lqr": lqr, "integrator": integrator, "pendulum": pendulum, "iiwa": iiw
 
 
 @lru_cache
-def free(case: Case) -> Case:
+def unconstrained(case: Case) -> Case:
     """The same case without bounds and path constraints."""
     return replace(case, problem=case.problem.unconstrained())
 
 
-def descent(case: Case, steps: int | None = None) -> GradientDescent:
+def converging_descent(case: Case, steps: int | None = None) -> GradientDescent:
     """Gradient descent for the case: a converged one, or a given number of steps."""
     return GradientDescent(steps or case.steps, case.step_size, project=case.problem.has_action_bounds)

@@ -47,7 +47,7 @@ def enforce(policy: str, result: HypergradientResult) -> HypergradientResult:
     return result
 
 
-def seen(problem: OCP, demonstration: Demonstration) -> Array:
+def demonstrated_observations(problem: OCP, demonstration: Demonstration) -> Array:
     """Observations of the demonstration as (n_z, T+1). Raises ProblemError if they do not fit the problem."""
     expected = (problem.horizon + 1, problem.n_observations)
     if demonstration.observations.shape != expected:
@@ -57,7 +57,7 @@ def seen(problem: OCP, demonstration: Demonstration) -> Array:
     return demonstration.observations.T
 
 
-def not_finite(loss: float, gradient: Array) -> list[str]:
+def nonfinite_failures(loss: float, gradient: Array) -> list[str]:
     """The failure that NaN or infinity is, if there is any."""
     if np.isfinite(loss) and np.isfinite(gradient).all():
         return []

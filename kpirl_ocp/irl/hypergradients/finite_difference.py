@@ -17,7 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult, enforce, not_finite, seen
+from kpirl_ocp.irl.hypergradients.certificate import (
+    HypergradientResult,
+    demonstrated_observations,
+    enforce,
+    nonfinite_failures,
+)
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, Solver
@@ -68,7 +73,7 @@ class FiniteDifference:
     ) -> HypergradientResult:
         """See `Hypergradient`; needs 8 n_psi + 1 solves."""
         s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
-        observed, loss = seen(problem, demonstration), self.loss(problem)
+        observed, loss = demonstrated_observations(problem, demonstration), self.loss(problem)
         solutions: list[Solution] = []
 
         def evaluate(at: Array) -> float:
@@ -81,7 +86,7 @@ class FiniteDifference:
         noise = NOISE * abs(value) / (self.step / 2 ** (_LEVELS - 1))
         certificate = FiniteDifferenceCertificate(
             solution=solutions[0],
-            failures=tuple(not_finite(value, gradient) + _failures(solutions, disagreement, gap, slope, noise)),
+            failures=tuple(nonfinite_failures(value, gradient) + _failures(solutions, disagreement, gap, slope, noise)),
             disagreement=disagreement,
             gap=gap,
         )

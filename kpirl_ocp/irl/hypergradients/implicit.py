@@ -20,7 +20,12 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult, enforce, not_finite, seen
+from kpirl_ocp.irl.hypergradients.certificate import (
+    HypergradientResult,
+    demonstrated_observations,
+    enforce,
+    nonfinite_failures,
+)
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -78,10 +83,12 @@ def differentiate(
     derivatives: at the solution, where the solver ended with them.
     """
     evaluate = call(problem, _loss_and_slopes(loss))
-    (value,), by_states, by_actions = evaluate(solution.states, solution.actions, seen(problem, demonstration).T)
+    (value,), by_states, by_actions = evaluate(
+        solution.states, solution.actions, demonstrated_observations(problem, demonstration).T
+    )
     at = sensitivity(problem, solution, "flag", derivatives)
     found = at.pull(by_states.reshape(solution.states.shape), by_actions.reshape(solution.actions.shape))
-    failures = (*not_finite(float(value), found.psi), *found.certificate.failures)
+    failures = (*nonfinite_failures(float(value), found.psi), *found.certificate.failures)
     return HypergradientResult(float(value), found.psi, replace(found.certificate, failures=failures))
 
 

@@ -19,7 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult, enforce, not_finite, seen
+from kpirl_ocp.irl.hypergradients.certificate import (
+    HypergradientResult,
+    demonstrated_observations,
+    enforce,
+    nonfinite_failures,
+)
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.ocp.codegen.compiler import compiled
@@ -76,14 +81,16 @@ class Unrolled:
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
         """See `Hypergradient`."""
-        return self.together(problem, [demonstration], psi, guess)[0]
+        return self.batch(problem, [demonstration], psi, guess)[0]
 
-    def together(
+    def batch(
         self, problem: OCP, demonstrations: Sequence[Demonstration], psi: ArrayLike, guess: Guess = None
     ) -> list[HypergradientResult]:
         """The same for several demonstrations in one call, with matrix products where one has matrix times vector."""
         steps = self.solver.steps
-        results = sweep(problem, self.solver, self.loss, steps, demonstrations, psi, guess, self.checkpoint)
+        results = unrolled_gradients(
+            problem, self.solver, self.loss, steps, demonstrations, psi, guess, self.checkpoint
+        )
         return [enforce(self.policy, result) for result in results]
 
 
@@ -109,7 +116,7 @@ class Truncated:
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
         """See `Hypergradient`."""
-        results = sweep(problem, self.solver, self.loss, self.last, [demonstration], psi, guess)
+        results = unrolled_gradients(problem, self.solver, self.loss, self.last, [demonstration], psi, guess)
         return enforce(self.policy, results[0])
 
 
@@ -120,7 +127,7 @@ def _check(solver: GradientDescent, policy: str) -> None:
     check_policy(policy, ("raise", "flag"))
 
 
-def sweep(
+def unrolled_gradients(
     problem: OCP,
     solver: GradientDescent,
     loss: Loss,
@@ -135,7 +142,7 @@ def sweep(
     inputs = [problem.inputs(demonstration.s0, psi, demonstration.context) for demonstration in demonstrations]
     starts, psis, contexts = (np.concatenate(parts) for parts in zip(*inputs, strict=True))
     actions = np.tile(guess_actions(problem, guess), (len(inputs), 1))
-    observed = np.concatenate([seen(problem, demonstration).T for demonstration in demonstrations])
+    observed = np.concatenate([demonstrated_observations(problem, demonstration).T for demonstration in demonstrations])
     evaluate = call_function(_function(problem, solver, loss, last, checkpoint, len(inputs)))
     (outputs,) = evaluate(actions, starts, psis, contexts, observed)
     rows = zip(inputs, outputs.reshape(len(inputs), -1), strict=True)
@@ -163,7 +170,7 @@ def _result(
 def _failures(
     solution: Solution, loss: float, gradient: Array, remainder: float, kink: float, left_out: int
 ) -> list[str]:
-    failures = not_finite(loss, gradient)
+    failures = nonfinite_failures(loss, gradient)
     if not np.isfinite(solution.objective):
         failures.append("The inner cost is NaN or infinite: look at the solution's status and the cost.")
     if left_out and not remainder <= _REMAINDER:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.certificate import Hypergradient, seen
+from kpirl_ocp.irl.hypergradients.certificate import Hypergradient, demonstrated_observations
 from kpirl_ocp.irl.identifiability.plan_jacobian import CONVERGED, plan_jacobian
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Demonstration, Mask
@@ -154,7 +154,9 @@ def identify(
         raise ProblemError(f"spread and noise must be positive and finite, got {spread!r} and {noise!r}.")
     plans = [plan_jacobian(problem, demonstration, psi, method) for demonstration in demonstrations]
     pairs = zip(plans, demonstrations, strict=True)
-    residuals = np.concatenate([seen(problem, demo).T[1:].ravel() - plan.observations for plan, demo in pairs])
+    residuals = np.concatenate(
+        [demonstrated_observations(problem, demo).T[1:].ravel() - plan.observations for plan, demo in pairs]
+    )
     jacobian = np.vstack([plan.jacobian for plan in plans])
     information = jacobian.T @ jacobian
     eigenvalues = np.linalg.eigvalsh(units[:, None] * information * units)

@@ -79,7 +79,7 @@ def _unrolled(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method
     rows = [
         result.gradient
         for first in range(0, len(shifts), _TOGETHER)
-        for result in unrolled.together(problem, demonstrations[first : first + _TOGETHER], psi)
+        for result in unrolled.batch(problem, demonstrations[first : first + _TOGETHER], psi)
     ]
     jacobian = np.reshape(rows[:size], (size, problem.n_parameters))
     return PlanJacobian(certificate.solution.trajectory, planned[1:].ravel(), jacobian, certificate.certified)

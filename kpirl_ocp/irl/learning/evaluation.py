@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.irl.hypergradients.certificate import seen
+from kpirl_ocp.irl.hypergradients.certificate import demonstrated_observations
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
@@ -35,7 +35,9 @@ def evaluate(
     solutions = tuple(solver.solve(problem, demo.s0, psi, demo.context) for demo in demonstrations)
     measure = loss(problem)
     pairs = list(zip(solutions, demonstrations, strict=True))
-    losses = [float(measure(plan.states.T, plan.actions.T, seen(problem, demo))) for plan, demo in pairs]
+    losses = [
+        float(measure(plan.states.T, plan.actions.T, demonstrated_observations(problem, demo))) for plan, demo in pairs
+    ]
     distances = [relative_distance(np.array(problem.observe(plan.states.T)).T, demo) for plan, demo in pairs]
     return Evaluation(solutions, np.array(losses), np.array(distances))
 

@@ -49,7 +49,7 @@ class Learner:
     def evaluate(self, psi: Array) -> Point:
         """Mean loss and gradient over the demonstrations."""
         if isinstance(self.hypergradient, Unrolled):
-            results = self.hypergradient.together(self.problem, self.demonstrations, psi)
+            results = self.hypergradient.batch(self.problem, self.demonstrations, psi)
         else:
             results = [self.hypergradient(self.problem, demonstration, psi) for demonstration in self.demonstrations]
         return Point(

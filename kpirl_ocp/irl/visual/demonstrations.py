@@ -30,7 +30,7 @@ def positions(keypoints: ArrayLike) -> Array:
     return array[..., :2].reshape(*array.shape[:-2], -1)
 
 
-def own_demonstration(dynamics: NetworkDynamics, track: ArmTrack) -> Demonstration:
+def robot_demonstration(dynamics: NetworkDynamics, track: ArmTrack) -> Demonstration:
     """A demonstration by the robot itself."""
     seen = positions(track.keypoints)
     return Demonstration(dynamics.state(seen[0], track.joints[0], track.velocities[0]), seen[-1], seen)

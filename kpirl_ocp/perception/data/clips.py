@@ -15,7 +15,7 @@ from kpirl_ocp.perception.data.video import Frames, read_demonstration
 _RATE = 5.0  # [Hz] at which a person's video is read
 
 
-def recordings(directory: str | Path) -> list[Recording]:
+def read_recordings(directory: str | Path) -> list[Recording]:
     """The clips of a directory made by `scripts/collect_data.py`; those of a hand at 5 Hz."""
     directory = Path(directory)
     meta = read_meta(directory)
@@ -24,7 +24,7 @@ def recordings(directory: str | Path) -> list[Recording]:
     return list(iterate_episodes(directory, meta["episodes"], Recording))
 
 
-def unlabelled(paths: Sequence[str | Path]) -> list[Frames]:
+def read_videos(paths: Sequence[str | Path]) -> list[Frames]:
     """Frames at 5 Hz of videos, or of all videos in directories. Raises FileError if a directory has none."""
     clips = []
     for path in map(Path, paths):

@@ -19,10 +19,10 @@ from kpirl_ocp.episodes import write_episode
 from kpirl_ocp.errors import ProblemError, SceneError
 from kpirl_ocp.motion import forward_then_down, minimum_jerk
 from kpirl_ocp.perception.data.encoding import write_video
-from kpirl_ocp.perception.data.recordings import ArmRecording, Truth
+from kpirl_ocp.perception.data.recordings import ArmRecording, GroundTruth
 from kpirl_ocp.perception.scene.bodies import BOTTLE
 from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path, wandering_path
-from kpirl_ocp.perception.scene.posture import UPRIGHT, carry
+from kpirl_ocp.perception.scene.posture import UPRIGHT, inverse_kinematics
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array
 
@@ -195,7 +195,7 @@ class HandMotion(_Checked, ABC):
         with HandScene() as scene:
             frames = [scene.look(position) for position in self.path(rng)]
         write_video(path.with_suffix(".avi"), np.array([frame.rgb for frame in frames]), self.rate)
-        write_episode(path, Truth(**Truth.columns(frames, self.rate)))
+        write_episode(path, GroundTruth(**GroundTruth.columns(frames, self.rate)))
 
 
 @dataclass(frozen=True)
@@ -234,12 +234,12 @@ MOTIONS: Mapping[str, type[Motion]] = {
 def _posture(rng: np.random.Generator) -> Array:
     """A posture (7,) [rad] with the bottle somewhere in front of the camera."""
     x, z, tilt = rng.uniform(_NEAR, _FAR)
-    return carry(x, z, UPRIGHT + tilt)
+    return inverse_kinematics(x, z, UPRIGHT + tilt)
 
 
 def _carried(path: Array, pitch: float) -> Array:
     """Postures (n, 7) [rad] along a path (n, 3) [m] of the bottle in the plane."""
-    return np.array([carry(x, z, pitch) for x, _, z in path])
+    return np.array([inverse_kinematics(x, z, pitch) for x, _, z in path])
 
 
 def _sine(

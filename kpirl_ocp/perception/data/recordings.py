@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kpirl_ocp.episodes import read_episode, stored
-from kpirl_ocp.perception.data.video import every, read_demonstration
+from kpirl_ocp.perception.data.video import read_demonstration, sample_indices
 from kpirl_ocp.perception.scene.world import Frame
 from kpirl_ocp.types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class GroundTruth:
     """Where the bottle is in a clip of T+1 frames.
 
     bottle: (T+1, H, W) bool, the pixels that show it.
@@ -40,7 +40,7 @@ class Truth:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording(Truth):
+class Recording(GroundTruth):
     """The frames as well: images (T+1, H, W, 3) uint8 RGB."""
 
     images: NDArray[np.uint8] = stored("observation.images.camera", np.uint8, "T+1", "H", "W", 3)
@@ -60,7 +60,7 @@ class ArmRecording(Recording):
 
 def read_hand(path: Path, rate: float = 5.0) -> Recording:
     """A hand's demonstration at `rate` [Hz]: the frames from its video, the truth from the episode `path` beside it."""
-    truth = read_episode(path, Truth)
+    truth = read_episode(path, GroundTruth)
     images = read_demonstration(path.with_suffix(".avi"), rate=rate, size=truth.bottle.shape[1])
-    chosen = every(len(truth.times), 1 / (truth.times[1] - truth.times[0]), rate)
+    chosen = sample_indices(len(truth.times), 1 / (truth.times[1] - truth.times[0]), rate)
     return Recording(truth.bottle[chosen], truth.place[chosen], truth.times[chosen], images)

@@ -102,7 +102,7 @@ def read_demonstration(
     return np.array([_square(image, size) for _, image in sampled_frames(path, rate, source_rate=source_rate)])
 
 
-def every(count: int, source_rate: float, rate: float) -> Indices:
+def sample_indices(count: int, source_rate: float, rate: float) -> Indices:
     """Which of `count` frames recorded at source_rate [Hz] to take for `rate` [Hz]."""
     return np.array([index for _, index in sampled(((i / source_rate, i) for i in range(count)), rate)], np.intp)
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.perception.detector.keypoints import centres, expectation, gaussian_maps
+from kpirl_ocp.perception.detector.keypoints import cell_centres, gaussian_maps, soft_argmax
 
 EncoderKind = Literal["resnet", "plain"]
 STRIDE = 4  # image pixels per heatmap cell
@@ -97,7 +97,7 @@ class KeypointAutoencoder(nn.Module):
         """What the encoder sees in frames (B, 3, S, S) with values in [0, 1]."""
         features = self.encoder(_concatenated(frames - 0.5, _coordinates(frames)))
         scores = self.head(features)
-        return Encoded(features, scores, expectation(scores))
+        return Encoded(features, scores, soft_argmax(scores))
 
     def forward(self, clips: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Clips (B, T, 3, S, S) -> reconstruction (B, T, 3, S, S), keypoints (B, T, K, 3), scores (B, T, K, h, w)."""
@@ -129,5 +129,5 @@ def _concatenated(*images: Tensor) -> Tensor:
 def _coordinates(images: Tensor) -> Tensor:
     """x and y of every pixel (B, 2, h, w)."""
     count, _, height, width = images.shape
-    x, y = centres(width).expand(height, width), centres(height)[:, None].expand(height, width)
+    x, y = cell_centres(width).expand(height, width), cell_centres(height)[:, None].expand(height, width)
     return torch.stack([x, y]).to(images).expand(count, 2, height, width)

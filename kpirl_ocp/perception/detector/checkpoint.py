@@ -15,7 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import nn
 
-from kpirl_ocp.episodes import replacing
+from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import FileError
 
 Curves = dict[str, list[float]]
@@ -37,7 +37,7 @@ class Checkpoint:
             tensors |= {f"adam.{index}.{name}": value.contiguous() for name, value in state.items()}
         metadata = {"configuration": self.configuration, "curves": json.dumps(curves)}
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(self.path) as file:
+        with atomic_write(self.path) as file:
             file.write(save(tensors, metadata))
 
     def load(self, model: nn.Module, optimiser: torch.optim.Optimizer, terms: Sequence[str]) -> Curves:

@@ -11,10 +11,10 @@ import numpy as np
 import torch
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.model_cards import DETECTOR, fitting, read_model, write_model
+from kpirl_ocp.model_cards import DETECTOR, read_model, report_mismatch, write_model
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector.autoencoder import KeypointAutoencoder
-from kpirl_ocp.perception.detector.keypoints import sharpened
+from kpirl_ocp.perception.detector.keypoints import local_soft_argmax
 from kpirl_ocp.perception.detector.training import resize
 from kpirl_ocp.types import Array
 
@@ -35,7 +35,7 @@ class KeypointDetector:
     def load(cls, path: str | Path) -> KeypointDetector:
         """The detector of a card `path` (.json) and the weights beside it. Raises ModelError for damaged files."""
         card, tensors = read_model(Path(path), DETECTOR)
-        with fitting(path):
+        with report_mismatch(path):
             build = card.entries["architecture"]
             model = KeypointAutoencoder(build["size"], build["keypoints"], build["encoder"], build["filters"])
             model.load_state_dict({name: torch.from_numpy(value) for name, value in tensors.left.items()})
@@ -62,4 +62,4 @@ class KeypointDetector:
     def _detect(self, images: Frames) -> Array:
         frames = torch.from_numpy(resize(images, self.size)).permute(0, 3, 1, 2).float() / 255
         scores = self.model.encode(frames).scores
-        return sharpened(scores).double().numpy()
+        return local_soft_argmax(scores).double().numpy()

@@ -20,40 +20,40 @@ def to_pixels(keypoints: ArrayLike, size: int) -> Array:
     return (np.asarray(keypoints, float)[..., :2] + 1) / 2 * size
 
 
-def centres(count: int) -> Tensor:
+def cell_centres(count: int) -> Tensor:
     """Coordinates (count,) of the cells along one axis."""
     return (2 * torch.arange(count) + 1) / count - 1
 
 
-def spot(scores: Tensor) -> Tensor:
+def spatial_softmax(scores: Tensor) -> Tensor:
     """Where a keypoint is, as a distribution p (..., h, w) over the cells: the softmax of scores (..., h, w)."""
     return scores.flatten(-2).softmax(-1).unflatten(-1, scores.shape[-2:])
 
 
-def expectation(scores: Tensor) -> Tensor:
+def soft_argmax(scores: Tensor) -> Tensor:
     """Keypoints (..., K, 3) of scores (..., K, h, w).
 
-    (x, y) is the mean place under `spot`, and mu_k = heat_k / max_l heat_l with heat = mean of softplus(scores).
+    (x, y) is the mean under `spatial_softmax`, and mu_k = heat_k / max_l heat_l with heat = mean of softplus(scores).
     """
     heat = functional.softplus(scores).mean((-2, -1))
-    return torch.cat([_mean_place(spot(scores)), (heat / heat.amax(-1, keepdim=True))[..., None]], -1)
+    return torch.cat([_mean_place(spatial_softmax(scores)), (heat / heat.amax(-1, keepdim=True))[..., None]], -1)
 
 
-def sharpened(scores: Tensor, radius: int = 2) -> Tensor:
-    """Keypoints as by `expectation`, but x and y from the cells within `radius` of the peak only."""
+def local_soft_argmax(scores: Tensor, radius: int = 2) -> Tensor:
+    """Keypoints as by `soft_argmax`, with x and y from the cells within `radius` of the peak only."""
     height, width = scores.shape[-2:]
     peak = scores.flatten(-2).argmax(-1)  # (..., K)
     near_x = (torch.arange(width) - (peak % width)[..., None]).abs() <= radius  # (..., K, w)
     near_y = (torch.arange(height) - (peak // width)[..., None]).abs() <= radius
     near = near_y[..., :, None] & near_x[..., None, :]
-    place = _mean_place(spot(scores.masked_fill(~near, -torch.inf)))
-    return torch.cat([place, expectation(scores)[..., 2:]], -1)
+    place = _mean_place(spatial_softmax(scores.masked_fill(~near, -torch.inf)))
+    return torch.cat([place, soft_argmax(scores)[..., 2:]], -1)
 
 
 def _mean_place(probability: Tensor) -> Tensor:
     height, width = probability.shape[-2:]
-    x = (probability.sum(-2) * centres(width)).sum(-1)
-    y = (probability.sum(-1) * centres(height)).sum(-1)
+    x = (probability.sum(-2) * cell_centres(width)).sum(-1)
+    y = (probability.sum(-1) * cell_centres(height)).sum(-1)
     return torch.stack([x, y], -1)
 
 
@@ -61,6 +61,6 @@ def gaussian_maps(keypoints: Tensor, cells: int, width: float = 1.5) -> Tensor:
     """Maps (..., K, cells, cells): mu exp(-d^2 / (2 width^2)), d in cells from the keypoints (..., K, 3)."""
     x, y, mu = keypoints.unbind(-1)
     scale = cells / 2 / width  # from image units to standard deviations
-    along_x = torch.exp(-0.5 * ((centres(cells) - x[..., None]) * scale) ** 2)
-    along_y = torch.exp(-0.5 * ((centres(cells) - y[..., None]) * scale) ** 2)
+    along_x = torch.exp(-0.5 * ((cell_centres(cells) - x[..., None]) * scale) ** 2)
+    along_y = torch.exp(-0.5 * ((cell_centres(cells) - y[..., None]) * scale) ** 2)
     return mu[..., None, None] * along_y[..., :, None] * along_x[..., None, :]

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from kpirl_ocp.perception.detector.keypoints import spot
+from kpirl_ocp.perception.detector.keypoints import spatial_softmax
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def motion(clips: Tensor, cells: int) -> Tensor:
 
 def attention(scores: Tensor, moving: Tensor) -> Tensor:
     """-log(1e-3 + sum_ij p_ij m_ij): keypoints belong where something moves, m (B, T, cells, cells)."""
-    return -torch.log(1e-3 + (spot(scores) * moving[:, :, None]).sum((-2, -1))).mean()
+    return -torch.log(1e-3 + (spatial_softmax(scores) * moving[:, :, None]).sum((-2, -1))).mean()
 
 
 def appearance(clips: Tensor, scores: Tensor) -> Tensor:
@@ -98,7 +98,7 @@ def appearance(clips: Tensor, scores: Tensor) -> Tensor:
     What is the same in all clips is the object; robot, gripper, hand and sleeve are not.
     """
     colours = functional.adaptive_avg_pool2d(clips.flatten(0, 1), scores.shape[-1]).unflatten(0, clips.shape[:2])
-    under = torch.einsum("btkij,btcij->btkc", spot(scores), colours)
+    under = torch.einsum("btkij,btcij->btkc", spatial_softmax(scores), colours)
     return under.flatten(0, 1).var(0, correction=0).sum(-1).mean()
 
 

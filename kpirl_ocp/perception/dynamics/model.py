@@ -17,7 +17,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from kpirl_ocp.model_cards import DYNAMICS, fitting, read_model, write_model
+from kpirl_ocp.model_cards import DYNAMICS, read_model, report_mismatch, write_model
 
 Activation = Literal["relu", "tanh", "softplus", "silu"]
 ACTIVATIONS: Mapping[str, type[nn.Module]] = {
@@ -83,7 +83,7 @@ class DynamicsModel(nn.Module):
     def load(cls, path: str | Path) -> DynamicsModel:
         """The model of a card. Raises ModelError for missing or damaged files."""
         card, tensors = read_model(Path(path), DYNAMICS)
-        with fitting(path):
+        with report_mismatch(path):
             build = card.entries
             sizes = build["inputs"]
             model = cls(sizes["keypoints"], sizes["joints"], build["activation"], tuple(build["hidden"]))

@@ -35,7 +35,7 @@ class Disturbance:
     since: int = 0
     until: int = 0
 
-    def spoil(self, frame: Frame, detector: KeypointDetector, look: int, rng: np.random.Generator) -> Frames:
+    def apply(self, frame: Frame, detector: KeypointDetector, look: int, rng: np.random.Generator) -> Frames:
         """The image (H, W, 3) of look number `look`, spoilt."""
         image = frame.rgb.copy()
         if self.hidden is not None and self.since <= look < self.until:
@@ -64,7 +64,7 @@ class CameraPlant:
     def look(self) -> Sight:
         """Render, spoil, detect and measure."""
         frame = self.scene.render()
-        image = self.disturbance.spoil(frame, self.detector, len(self.images), self.rng)
+        image = self.disturbance.apply(frame, self.detector, len(self.images), self.rng)
         self.images.append(image)
         self.places.append(frame.place)
         state: JointState = self.scene.measure()

@@ -13,7 +13,7 @@ import numpy as np
 from kpirl_ocp.errors import SceneError
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant
-from kpirl_ocp.perception.scene.posture import UPRIGHT, carry
+from kpirl_ocp.perception.scene.posture import UPRIGHT, inverse_kinematics
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array
 
@@ -64,7 +64,7 @@ def _posture(scene: Scene, point: Array, rng: np.random.Generator) -> Array:
     low, high = scene.joint_limits
     for farther in np.arange(0.0, 0.3, 0.005):
         try:
-            theta = carry(point[0] + farther, point[2], pitch)
+            theta = inverse_kinematics(point[0] + farther, point[2], pitch)
         except SceneError:
             continue
         if ((theta >= low) & (theta <= high)).all():

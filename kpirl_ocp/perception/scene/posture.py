@@ -19,7 +19,7 @@ UPRIGHT = np.pi / 2
 _SHOULDER, _UPPER_ARM, _FOREARM, _HAND = 0.36, 0.42, 0.40, 0.196  # [m]
 
 
-def carry(x: float, z: float, pitch: float = UPRIGHT) -> Array:
+def inverse_kinematics(x: float, z: float, pitch: float = UPRIGHT) -> Array:
     """Joint positions (7,) [rad] that hold the bottle at (x, 0, z) [m], elbow up.
 
     Raises SceneError if the arm is too short or the place too near.
