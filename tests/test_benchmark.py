@@ -107,7 +107,7 @@ def test_bounds_on_actions_and_joints_are_active_and_independent(model, bench):
     solution = Riccati().solve(data.bounded, data.s0[0], data.psi.ravel(), data.goal[0])
     assert solution.status.ok
     assert (np.abs(solution.multipliers.action) > 1e-6).any()
-    reach, room = data.reach, np.abs(np.asarray(data.bounded.state_bounds)[1, 8:15] - data.s0[0, 8:15])
+    reach, room = data.reach, np.abs(np.asarray(data.bounded.state_bounds)[1, 1, 8:15] - data.s0[0, 8:15])
     assert (np.abs(room / reach - np.round(room / reach)) > 0.1).all()
 
 

@@ -18,6 +18,7 @@ import casadi as ca
 from kpirl_ocp.ocp.conditions.stage_derivatives import (
     linearise_dynamics,
     pairing,
+    pairing_gradient,
     stage_arguments,
     stage_gradient,
     symbols,
@@ -55,13 +56,13 @@ class Lagrangian:
         return flat(self.problem, slope, by_states[:, -1])
 
     def path(self, x: ca.MX) -> ca.MX:
-        """See `Operator`."""
+        """G_t x_t (n_h, T)."""
         if self.problem.path_constraint is None:
             return ca.MX(0, self.problem.horizon)
         return _path_push(self.problem.path_constraint).map(self.problem.horizon)(*self._arguments, x)
 
     def balance(self, x: ca.MX, last: ca.MX, costates: ca.MX, forces: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """See `Operator`."""
+        """H_t x_t + F_t' dlambda_t + G_t' dmu_t (n_x, T), and H_T s_T (n_s,)."""
         n_s, steps = self.problem.n_states, self.problem.horizon
         dS = ca.horzcat(x[:n_s, :], last)
         by_states, by_actions, _ = self._cost.second(self.states, self.actions, self._theta, dS, x[n_s:, :])
@@ -72,7 +73,7 @@ class Lagrangian:
         return balance, by_states[:, -1]
 
     def F_times(self, x: ca.MX) -> ca.MX:
-        """See `Operator`."""
+        """F_t x_t (n_s, T)."""
         return self._dynamics.F_times(x)
 
     @cached_property
@@ -94,11 +95,11 @@ class Lagrangian:
 
 @lru_cache(maxsize=64)
 def kink(problem: OCP) -> ca.Function:
-    """(S, U, psi, c, Lambda, M, H, H_T, dw (n_w,), h) -> difference quotient of the gradient along dw, and its excess.
+    """(S, U, psi, c, Lambda, M, H, H_T, dw (n_w,), h) -> |d| and |d - H dw|.
 
-    That is |d| and |d - H dw| with d the central difference of the gradients h dw further and h dw back.
+    d: the central difference quotient of the Lagrangian's gradient along dw, h dw to either side.
     """
-    (states, actions, *others), (*_, H, last) = at, _ = lagrangian_symbols(problem), matrices(problem)
+    (states, actions, *others), (*_, H, last) = at, _ = symbols(problem), matrices(problem)
     dw, h = ca.MX.sym("dw", problem.horizon * len_x(problem)), ca.MX.sym("h")
     x, end = by_stage(problem, dw)
     dS, dU = ca.horzcat(x[: problem.n_states, :], end), x[problem.n_states :, :]
@@ -110,18 +111,12 @@ def kink(problem: OCP) -> ca.Function:
     return ca.Function("kink", [*at, H, last, dw, h], [ca.vertcat(*outputs)])
 
 
-def lagrangian_symbols(problem: OCP) -> list[ca.MX]:
-    """S, U, psi, c, Lambda and M."""
-    point, dual = symbols(problem)
-    return [*point, *dual]
-
-
 def _path_push(path: ca.Function) -> ca.Function:
     """(s, u, psi, c, d, x) -> G x."""
     inputs, _, value = pairing(path)
     x = type(value).sym("x", inputs[0].numel() + inputs[1].numel())
-    moved = ca.jtimes(value, ca.vertcat(*inputs[:2]), x)
-    return ca.Function("path_push", [*inputs, x], [ca.densify(moved)])
+    change = ca.jtimes(value, ca.vertcat(*inputs[:2]), x)
+    return ca.Function("path_push", [*inputs, x], [ca.densify(change)])
 
 
 def _path_pull(path: ca.Function) -> ca.Function:
@@ -129,6 +124,5 @@ def _path_pull(path: ca.Function) -> ca.Function:
     inputs, mu, value = pairing(path)
     s, u = inputs[:2]
     x, dmu = (type(value).sym(name, size) for name, size in (("x", s.numel() + u.numel()), ("dmu", mu.numel())))
-    slope = ca.vertcat(*(ca.gradient(ca.dot(mu, value), part) for part in (s, u)))
-    changes = ca.jtimes(slope, ca.vertcat(s, u, mu), ca.vertcat(x, dmu))
+    changes = ca.jtimes(pairing_gradient(inputs, mu, value), ca.vertcat(s, u, mu), ca.vertcat(x, dmu))
     return ca.Function("path_pull", [*inputs, mu, x, dmu], [ca.densify(changes)])

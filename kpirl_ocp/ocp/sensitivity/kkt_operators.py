@@ -1,7 +1,7 @@
-"""Pieces of which `refinement` and `conditioning` are made, as expressions.
+"""Operators of the KKT system with its inequalities, as expressions, for `refinement` and `conditioning`.
 
-Inequalities are listed as in `Inequalities`; what belongs to some of them only is zero for the others. F, G, H and H_T
-lie side by side as in `kpirl_ocp.ocp.conditions.stage_derivatives`.
+Inequalities are listed as in `Inequalities`; entries that belong to some of them only are zero for the others. F, G, H
+and H_T lie side by side as in `kpirl_ocp.ocp.conditions.stage_derivatives`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Operator(Protocol):
 
 @dataclass(frozen=True)
 class Stored:
-    """Products with matrices."""
+    """Products with matrices; an `Operator`."""
 
     problem: OCP
     F: ca.MX
@@ -44,11 +44,11 @@ class Stored:
     last: ca.MX
 
     def path(self, x: ca.MX) -> ca.MX:
-        """See `Operator`."""
+        """G_t x_t (n_h, T)."""
         return path_product(self.problem.n_path, len_x(self.problem)).map(self.problem.horizon)(self.G, x)
 
     def balance(self, x: ca.MX, last: ca.MX, costates: ca.MX, forces: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """See `Operator`."""
+        """H_t x_t + F_t' lambda_t + G_t' mu_t (n_x, T), and H_T s_T (n_s,)."""
         n_s, n_x = self.problem.n_states, len_x(self.problem)
         shapes = {"F": (n_s, n_x), "H": (n_x, n_x), "x": (n_x, 1), "lambda": (n_s, 1)}
         F_t, H_t, x_t, costate = (ca.MX.sym(name, *shape) for name, shape in shapes.items())
@@ -59,7 +59,7 @@ class Stored:
         return balance, self.last @ last
 
     def F_times(self, x: ca.MX) -> ca.MX:
-        """See `Operator`."""
+        """F_t x_t (n_s, T)."""
         return path_product(self.problem.n_states, len_x(self.problem)).map(self.problem.horizon)(self.F, x)
 
 

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.conditions.hessian_products import Lagrangian, lagrangian_symbols
+from kpirl_ocp.ocp.conditions.hessian_products import Lagrangian
 from kpirl_ocp.ocp.conditions.nlp import bound_rows
+from kpirl_ocp.ocp.conditions.stage_derivatives import symbols
 from kpirl_ocp.ocp.linear.riccati_recursion import factor_symbols, substitute
 from kpirl_ocp.ocp.linear.stage_operators import by_stage, flat, len_x, matrices
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -134,7 +135,7 @@ def follow(problem: OCP) -> ca.Function:
     """
     given = factor_symbols(problem)
     F, G, *_ = matrices(problem)
-    at, tau = lagrangian_symbols(problem), ca.MX.sym("tau")
+    at, tau = symbols(problem), ca.MX.sym("tau")
     stiffness, active, scale = (ca.MX.sym(name, n_rows(problem)) for name in ("S", "active", "scale"))
     right, begin = _Triple.symbols(problem, "r", "d", "c"), _Triple.symbols(problem, "w", "lambda", "mu")
     right = _Triple(right.w, ca.MX.zeros(right.costates.shape), ca.MX.zeros(right.forces.shape))

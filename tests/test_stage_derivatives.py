@@ -10,7 +10,7 @@ from problems import TABLE, integrator, network
 
 from kpirl_ocp.ocp.codegen.numpy_calls import Call, call
 from kpirl_ocp.ocp.conditions import stage_derivatives as stages
-from kpirl_ocp.ocp.conditions.hessian_products import Lagrangian, lagrangian_symbols
+from kpirl_ocp.ocp.conditions.hessian_products import Lagrangian
 from kpirl_ocp.ocp.conditions.program import transcribe
 from kpirl_ocp.ocp.linear.stage_operators import flat
 from kpirl_ocp.ocp.problem.constraints import BoundRows
@@ -69,7 +69,7 @@ def test_products_without_matrices_are_those_with_them(name):
     instance, point = random_point(TABLE[name]())
     problem, steps = instance.problem, instance.problem.horizon
     system = linearise(instance, point, np.zeros(len(point.forces), bool))
-    at = lagrangian_symbols(problem)
+    at = stages.symbols(problem)
     x, last = ca.MX.sym("x", problem.n_states + problem.n_actions, steps), ca.MX.sym("last", problem.n_states)
     costates, forces = ca.MX.sym("costates", problem.n_states, steps), ca.MX.sym("forces", problem.n_path, steps)
     here = Lagrangian(problem, *at)
