@@ -10,7 +10,7 @@ import pytest
 from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.codegen import kernels
 from kpirl_ocp.ocp.codegen.copy_elision import with_fewer_copies
-from kpirl_ocp.ocp.problem.scan import scan
+from kpirl_ocp.ocp.problem.columns import scan
 
 STEPS = 3
 needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")

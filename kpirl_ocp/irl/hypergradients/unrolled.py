@@ -32,7 +32,7 @@ from kpirl_ocp.ocp.codegen.numpy_calls import call_function
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, Policy, check_policy
-from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints, finish
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, audited, check_constraints
 from kpirl_ocp.types import Array, Demonstration, Solution
 
 # An iterate this close to a bound before projection [units of u] sits on the kink of the projection.
@@ -155,7 +155,7 @@ def _result(
     """From one column of `unrolled_function`."""
     value, remainder, kink, initial = output[:4].tolist()
     gradient, point = output[4 : 4 + problem.n_parameters], output[4 + problem.n_parameters :]
-    solution = finish(problem, solver, psi, context, initial, point)
+    solution = audited(problem, solver, psi, context, initial, point)
     certificate = UnrolledCertificate(
         solution=solution,
         failures=tuple(_failures(solution, value, gradient, remainder, kink, solver.steps - last)),

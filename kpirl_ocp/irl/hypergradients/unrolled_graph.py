@@ -17,22 +17,13 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.irl.hypergradients.loss import Loss
+from kpirl_ocp.ocp.problem.columns import by_trajectory, regroup, repeat, reverse, sum_blocks, symbols_like
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
-from kpirl_ocp.ocp.problem.scan import reverse, sum_blocks
+from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost, reduced_symbols
 from kpirl_ocp.ocp.problem.scope import constant_bounds
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
 from kpirl_ocp.ocp.problem.trajectory_passes import Rollout
-from kpirl_ocp.ocp.solvers.gradient_descent import (
-    GradientDescent,
-    by_trajectory,
-    gradient_step,
-    inside,
-    repeat,
-    symbols,
-    symbols_like,
-    terminal_point,
-)
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, gradient_step, projection_slope, terminal_point
 
 _SINGLE = 32  # so many steps, and no more, are written out one by one
 
@@ -45,7 +36,7 @@ def unrolled_function(
     For B demonstrations everything has B columns, but U_0 (n_u, B T) and Z (n_z, B (T+1)), demonstration by
     demonstration.
     """
-    reduced, (u, s0, psi, context) = ReducedCost(problem, columns), symbols(problem, columns)
+    reduced, (u, s0, psi, context) = ReducedCost(problem, columns), reduced_symbols(problem, columns)
     observed = ca.MX.sym("Z", problem.n_observations, columns * (problem.horizon + 1))
     theta = reduced.cost.coefficients(psi, context)
     constants, step = (s0, psi, *theta), gradient_step(problem, solver, columns)
@@ -56,7 +47,7 @@ def unrolled_function(
     steps = {length: step.mapaccum(length) if length > 1 else step for length in wide}
     sweeps = {length: _segment_back(back, length) if length > 1 else back for length in set(taken)}
 
-    iterate, walk = _regroup(u, problem.horizon), []
+    iterate, walk = regroup(u, problem.horizon), []
     for length in skipped + taken:
         start = iterate
         iterate, values, record = _take(steps[length], start, wide[length])
@@ -110,7 +101,7 @@ def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns
     free, states, *record = symbols_like("record", step.mx_out()[2:])
     at = Rollout(states, u, tuple(record[:remembered]))
     v = ca.MX.sym("v", *u.shape)
-    moved = inside(problem, solver, free) * v
+    moved = projection_slope(problem, solver, free) * v
     product = reduced.hessian_product(at, tuple(record[remembered:]), psi, coefficients, moved)
     shares = (-solver.step_size * x for x in (product.by_parameters, *product.by_coefficients))
     outputs = [moved - solver.step_size * product.by_actions, *shares]
@@ -131,7 +122,7 @@ def _segment_back(back: ca.Function, length: int) -> ca.Function:
 
 def _pull_back(reduced: ReducedCost) -> ca.Function:
     """(psi, c, x) -> (dtheta/dpsi)^T x."""
-    _, _, psi, context = symbols(reduced.problem, reduced.columns)
+    _, _, psi, context = reduced_symbols(reduced.problem, reduced.columns)
     theta = reduced.cost.coefficients(psi, context)
     x = symbols_like("x", theta)
     paired = ca.dot(theta.stages, x[0]) + ca.dot(theta.last, x[1])
@@ -148,11 +139,11 @@ def _loss_and_gradients(
     outputs = [value, ca.gradient(value, states), ca.gradient(value, actions)]
     slopes = ca.Function("slopes", [states, actions, seen], outputs).map(columns)
     value, by_states, by_actions = slopes(
-        _regroup(at.rollout.states, columns), _regroup(at.rollout.actions, columns), observed
+        regroup(at.rollout.states, columns), regroup(at.rollout.actions, columns), observed
     )
     horizon = reduced.problem.horizon
-    adjoint = reduced.passes.adjoint(at.rollout, psi, _regroup(by_states, horizon + 1))
-    return value, _regroup(by_actions, horizon) + adjoint.by_actions, adjoint.by_parameters
+    adjoint = reduced.passes.adjoint(at.rollout, psi, regroup(by_states, horizon + 1))
+    return value, regroup(by_actions, horizon) + adjoint.by_actions, adjoint.by_parameters
 
 
 def _kink_distance(problem: OCP, solver: GradientDescent, free: ca.MX, columns: int) -> ca.MX:
@@ -172,10 +163,3 @@ def _kink_distance(problem: OCP, solver: GradientDescent, free: ca.MX, columns: 
 def _norms(array: ca.MX, columns: int) -> ca.MX:
     """The norm of each trajectory's share (1, B)."""
     return ca.horzcat(*(ca.norm_2(column) for column in ca.horzsplit(by_trajectory(array, columns))))
-
-
-def _regroup(array: ca.MX, period: int) -> ca.MX:
-    """Columns 0, p, 2p .., then 1, p+1, .. : from an order by time to one by trajectory, and back."""
-    if period in (1, array.size2()):
-        return array
-    return ca.horzcat(*(array[:, first::period] for first in range(period)))

@@ -12,10 +12,10 @@ import casadi as ca
 from kpirl_ocp.ocp.codegen.target import Target, dynamics
 from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedDynamics, depends_on_psi
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
+from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost, reduced_symbols
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
 from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint
-from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints, symbols
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints
 
 
 def target(problem: OCP, solver: GradientDescent) -> Target:
@@ -73,7 +73,7 @@ def descent_slope(problem: OCP) -> ca.Function:
 
 def _linearise(problem: OCP) -> tuple[list[ca.MX], ReducedCost, Coefficients, Linearisation]:
     """U, s0, psi, c, and what is known there."""
-    inputs, reduced = list(symbols(problem)), ReducedCost(problem)
+    inputs, reduced = list(reduced_symbols(problem)), ReducedCost(problem)
     u, s0, psi, context = inputs
     theta = reduced.cost.coefficients(psi, context)
     return inputs, reduced, theta, reduced.linearise(s0, u, psi, theta)

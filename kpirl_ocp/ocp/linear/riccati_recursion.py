@@ -23,8 +23,8 @@ from functools import lru_cache
 
 import casadi as ca
 
+from kpirl_ocp.ocp.problem.columns import scan
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.scan import scan
 
 
 @lru_cache(maxsize=64)

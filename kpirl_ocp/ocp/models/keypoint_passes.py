@@ -21,7 +21,7 @@ import numpy as np
 
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.models.mlp import MLP, arrays, curved, from_arrays, pull, pull_tangent, push
-from kpirl_ocp.ocp.problem.scan import scan
+from kpirl_ocp.ocp.problem.columns import scan
 from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout
 from kpirl_ocp.types import Array
 

@@ -20,7 +20,7 @@ from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout, Tr
 
 
 class Linearisation(NamedTuple):
-    """What is known at some actions: J (1, B), dJ/dU (n_u, T B), the rollout, the costates."""
+    """The cost at some actions: J (1, B), dJ/dU (n_u, T B), the rollout, the costates."""
 
     value: ca.MX
     gradient: ca.MX
@@ -65,3 +65,13 @@ class ReducedCost:
         by_states, by_actions, by_theta = self.cost.second(rollout.states, rollout.actions, theta, dS, dU)
         adjoint = self.passes.adjoint_tangent(rollout, psi, memory, dS, dU, by_states)
         return Product(by_actions + adjoint.by_actions, by_theta, adjoint.by_parameters)
+
+
+def reduced_symbols(problem: OCP, columns: int = 1) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
+    """U (n_u, T B), s0 (n_s, B), psi (n_psi, B), c (n_c, B)."""
+    return (
+        ca.MX.sym("U", problem.n_actions, problem.horizon * columns),
+        ca.MX.sym("s0", problem.n_states, columns),
+        ca.MX.sym("psi", problem.n_parameters, columns),
+        ca.MX.sym("c", problem.n_context, columns),
+    )

@@ -50,12 +50,12 @@ class StageCost:
         slopes = [ca.densify(ca.gradient(value, x)) for x in (s, u)]
         slope = ca.vertcat(*slopes)
         hessian = ca.horzcat(*(ca.jacobian(slope, x) for x in (s, u)))
-        moved = ca.dot(slopes[0], ds) + ca.dot(slopes[1], du)
+        change = ca.dot(slopes[0], ds) + ca.dot(slopes[1], du)
         return cls(
             coefficients=ca.Function("coefficients", [psi, c, d], [ca.densify(parts)]),
             first=ca.Function("first", [s, u, theta], [value, *slopes]),
             second=ca.Function(
-                "second", [s, u, theta, ds, du], [ca.densify(ca.gradient(moved, x)) for x in (s, u, theta)]
+                "second", [s, u, theta, ds, du], [ca.densify(ca.gradient(change, x)) for x in (s, u, theta)]
             ),
             hessian=ca.Function("hessian", [s, u, theta], ca.cse([value, slope, hessian])),
         )
@@ -117,7 +117,7 @@ def stage_costs(problem: OCP) -> tuple[StageCost, StageCost]:
 
 
 _LARGE = 5e6  # operations that are written out for all stages, at most
-TOGETHER = 16  # stages in one function: compilers take more than twice the time for one of twice the length
+GROUP = 16  # stages in one function: compilers take more than twice the time for one of twice the length
 
 
 @lru_cache(maxsize=64)
@@ -131,7 +131,7 @@ def coefficients_of(problem: OCP) -> ca.Function:
     running, final = (cost.coefficients for cost in stage_costs(problem))
     psi, context = ca.MX.sym("psi", problem.n_parameters), ca.MX.sym("c", problem.n_context)
     if all(f.is_a("SXFunction") for f in (running, final)) and T * running.n_instructions() <= _LARGE:
-        ends = [*range(0, T, TOGETHER), T]
+        ends = [*range(0, T, GROUP), T]
         pieces = [_piece(running, schedule[:, begin:end]) for begin, end in pairwise(ends)]
         stages = ca.vertcat(*(piece(psi[used], context) for piece, used in pieces))
         piece, used = _piece(final, schedule[:, T])

@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 
 import casadi as ca
 
-from kpirl_ocp.ocp.problem.scan import scan, sum_blocks
+from kpirl_ocp.ocp.problem.columns import scan, sum_blocks
 
 Memory = tuple[ca.MX, ...]
 """Arrays (n, T B) that one pass keeps for a later one."""

@@ -13,8 +13,8 @@ import numpy as np
 from kpirl_ocp.ocp.linear.lanczos import lanczos, magnitude, outermost
 from kpirl_ocp.ocp.linear.riccati_recursion import condense, factor_symbols
 from kpirl_ocp.ocp.linear.stage_operators import by_stage, flat, len_x, matrices
+from kpirl_ocp.ocp.problem.columns import scan
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.scan import scan
 from kpirl_ocp.ocp.sensitivity.kkt_operators import Stored, bound_columns, n_rows, rows, stiffened, transposed_rows
 
 PRODUCTS = 5  # of a Lanczos process; more take another start

@@ -5,7 +5,6 @@ u <- P(u - alpha grad_u C_psi(rollout(s0, u))),    P the identity, or the projec
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate
@@ -16,8 +15,9 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.compiler import compiled
+from kpirl_ocp.ocp.problem.columns import by_trajectory, repeat, symbols_like
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
+from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost, reduced_symbols
 from kpirl_ocp.ocp.problem.scope import constant_bounds, refuse_features
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
@@ -52,7 +52,7 @@ class GradientDescent:
         start, psi, context = problem.inputs(s0, psi, context)
         check_constraints(problem, self.project)
         output = np.array(_descent(problem, self)(guess_actions(problem, guess).T, start, psi, context)).ravel()
-        return finish(problem, self, psi, context, float(output[0]), output[1:])
+        return audited(problem, self, psi, context, float(output[0]), output[1:])
 
 
 def check_constraints(problem: OCP, project: bool) -> None:
@@ -71,12 +71,11 @@ def check_constraints(problem: OCP, project: bool) -> None:
 
 
 def gradient_step(problem: OCP, solver: GradientDescent, columns: int = 1) -> ca.Function:
-    """(U (n_u, T B), s0, psi, theta) -> next U, J (1, B), U before the projection, and what `hessian_product` needs.
+    """(U (n_u, T B), s0, psi, theta) -> next U, J (1, B), U before the projection, states, memories.
 
-    theta stands for the two arrays of `Coefficients`, the last for states and what
-    rollout and adjoint remember.
+    theta stands for the two arrays of `Coefficients`; the memories of rollout and adjoint are for `hessian_product`.
     """
-    reduced, (u, s0, psi, context) = ReducedCost(problem, columns), symbols(problem, columns)
+    reduced, (u, s0, psi, context) = ReducedCost(problem, columns), reduced_symbols(problem, columns)
     theta = symbols_like("theta", reduced.cost.coefficients(psi, context))
     at = reduced.linearise(s0, u, psi, Coefficients(*theta))
     free = u - solver.step_size * at.gradient
@@ -104,7 +103,7 @@ def project(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX:
     return below * lower + above * upper + (1 - below - above) * u
 
 
-def inside(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX | float:
+def projection_slope(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX | float:
     """The derivative of P(U): one where an action is within its bounds, zero elsewhere."""
     if not solver.project:
         return 1.0
@@ -113,7 +112,7 @@ def inside(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX | float:
 
 
 def terminal_point(at: Linearisation, columns: int = 1) -> ca.MX:
-    """One column per trajectory: states, actions, gradient, costates and objective, as `finish` takes them.
+    """One column per trajectory: states, actions, gradient, costates and objective, as `audited` takes them.
 
     One array, because handing an array from CasADi to numpy costs as much as a gradient step of a small problem. The
     costate lambda_{t+1} is the derivative of the objective with respect to a disturbance added to s_{t+1}.
@@ -122,35 +121,10 @@ def terminal_point(at: Linearisation, columns: int = 1) -> ca.MX:
     return ca.vertcat(*(by_trajectory(part, columns) for part in parts), at.value)
 
 
-def by_trajectory(array: ca.MX, columns: int) -> ca.MX:
-    """(n, T B), ordered by time, as (n T, B)."""
-    return ca.horzcat(*(ca.vec(array[:, index::columns]) for index in range(columns)))
-
-
-def symbols(problem: OCP, columns: int = 1) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
-    """U (n_u, T B), s0 (n_s, B), psi (n_psi, B), c (n_c, B)."""
-    return (
-        ca.MX.sym("U", problem.n_actions, problem.horizon * columns),
-        ca.MX.sym("s0", problem.n_states, columns),
-        ca.MX.sym("psi", problem.n_parameters, columns),
-        ca.MX.sym("c", problem.n_context, columns),
-    )
-
-
-def symbols_like(name: str, arrays: Iterable[ca.MX]) -> list[ca.MX]:
-    """New symbols of the same shapes."""
-    return [ca.MX.sym(name, *array.shape) for array in arrays]
-
-
-def repeat(arrays: Iterable[ca.MX], count: int) -> list[ca.MX]:
-    """Each array side by side, as inputs of `count` steps that are the same."""
-    return [ca.repmat(array, 1, count) for array in arrays]
-
-
 @lru_cache(maxsize=64)
 def _descent(problem: OCP, solver: GradientDescent) -> ca.Function:
     """(U, s0, psi, c) -> the cost of the guess, then `terminal_point`."""
-    reduced, (u, s0, psi, context) = ReducedCost(problem), symbols(problem)
+    reduced, (u, s0, psi, context) = ReducedCost(problem), reduced_symbols(problem)
     theta = reduced.cost.coefficients(psi, context)
     step = gradient_step(problem, solver)
     once = ca.Function("once", step.mx_in(), step.call(step.mx_in())[:1])
@@ -160,10 +134,13 @@ def _descent(problem: OCP, solver: GradientDescent) -> ca.Function:
     return compiled(ca.Function("descent", [u, s0, psi, context], [output]))
 
 
-def finish(
+def audited(
     problem: OCP, solver: GradientDescent, psi: Array, context: Array, initial_cost: float, point: Array
 ) -> Solution:
-    """The audited solution from the cost of the guess and the output of `terminal_point`."""
+    """The solution with its residuals, from the cost of the guess and one column of `terminal_point`.
+
+    Residuals are those of the reduced problem: costates make the gradient by the states vanish, the rollout defects.
+    """
     steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
     lengths = ((steps + 1) * n_s, steps * n_u, steps * n_u, steps * n_s)
     states, actions, slope, costates = (

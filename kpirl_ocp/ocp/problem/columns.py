@@ -1,12 +1,12 @@
-"""Recursions over time as expressions: a stage carried forwards or backwards over blocks of columns.
+"""Columns of B trajectories side by side, as expressions: recursions over time, and other orders.
 
-B trajectories run side by side: the columns of an array (n, T B) are ordered by time, then by trajectory.
+The columns of an array (n, T B) are ordered by time, then by trajectory: T blocks of B columns.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 import casadi as ca
@@ -17,8 +17,8 @@ _WRITTEN_OUT = 32  # so many steps, and no more, are written out one by one
 def scan(stage: ca.Function, start: ca.MX, inputs: Sequence[ca.MX], steps: int, backwards: bool = False) -> list[ca.MX]:
     """Carry the first output of a stage to its first input, from the first to the last block or from the last on.
 
-    Inputs and outputs (n, T B) are ordered by time either way; an input (n, B) is the same at every step. What
-    `mapaccum` does, but with a single copy. Many steps are taken in groups, with a copy more: compilers take more than
+    Inputs and outputs (n, T B) are ordered by time either way; an input (n, B) is the same at every step. The same
+    as `mapaccum`, but with a single copy. Many steps are taken in groups, with a copy more: compilers take more than
     twice the time for a function of twice the length.
     """
     size = 1 if steps <= _WRITTEN_OUT else math.isqrt(steps)
@@ -59,3 +59,25 @@ def sum_blocks(array: ca.MX, width: int) -> ca.MX:
     """The sum of all blocks of `width` columns."""
     rows = array.size1()
     return ca.reshape(ca.sum2(ca.reshape(array, rows * width, array.size2() // width)), rows, width)
+
+
+def repeat(arrays: Iterable[ca.MX], count: int) -> list[ca.MX]:
+    """Each array side by side, as inputs of `count` steps that are the same."""
+    return [ca.repmat(array, 1, count) for array in arrays]
+
+
+def by_trajectory(array: ca.MX, columns: int) -> ca.MX:
+    """(n, T B), ordered by time, as (n T, B)."""
+    return ca.horzcat(*(ca.vec(array[:, index::columns]) for index in range(columns)))
+
+
+def regroup(array: ca.MX, period: int) -> ca.MX:
+    """Columns 0, p, 2p .., then 1, p+1, .. : from an order by time to one by trajectory (p = B), and back (p = T)."""
+    if period in (1, array.size2()):
+        return array
+    return ca.horzcat(*(array[:, first::period] for first in range(period)))
+
+
+def symbols_like(name: str, arrays: Iterable[ca.MX]) -> list[ca.MX]:
+    """New symbols of the same shapes."""
+    return [ca.MX.sym(name, *array.shape) for array in arrays]

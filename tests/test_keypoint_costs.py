@@ -9,7 +9,7 @@ import pytest
 from kpirl_ocp import RBF, Default, Ipopt, KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp, keypoint_state
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.keypoint_costs import PARAMETRISATIONS
-from kpirl_ocp.ocp.problem.trajectory_cost import TOGETHER, coefficients_of, stage_costs
+from kpirl_ocp.ocp.problem.trajectory_cost import GROUP, coefficients_of, stage_costs
 
 T = 5
 ROBOT = Robot.from_example_data("ur5", {"tool0": [[0, 0, 0.1], [0.05, 0, 0.2]]})
@@ -252,7 +252,7 @@ def test_every_parametrisation_has_the_derivatives_of_its_formula():
 
 @pytest.mark.parametrize("basis", BASES, ids=str)
 def test_coefficients_of_all_stages_are_those_of_each_stage(basis):
-    horizon = 2 * TOGETHER + 3  # several functions of so many stages, and a shorter one
+    horizon = 2 * GROUP + 3  # several functions of so many stages, and a shorter one
     cost = KeypointCost(basis, effort=tuple(np.linspace(0.1, 1, horizon)), learn_effort=True, positivity="softplus")
     problem = keypoint_ocp(ROBOT, cost, horizon)
     rng = np.random.default_rng(0)
