@@ -53,7 +53,7 @@ class Episode:
 
 @dataclass(frozen=True, eq=False)
 class KeypointTrack:
-    """What a keypoint detector saw in a clip.
+    """Detected keypoints of a clip.
 
     keypoints: (T+1, K, 3), x to the right, y down [half an image], and mu in [0, 1]. times: (T+1,) [s].
     """
@@ -64,7 +64,7 @@ class KeypointTrack:
 
 @dataclass(frozen=True, eq=False)
 class ArmTrack(KeypointTrack):
-    """The same of a robot, with what its encoders measured and what it was told.
+    """Detected keypoints of a robot's clip, with its measured joints and its commands.
 
     joints: (T+1, n_joints) [rad]. velocities: (T+1, n_joints) [rad/s]. actions: (T, n_joints) [rad].
     """

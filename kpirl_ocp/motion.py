@@ -1,4 +1,4 @@
-"""How people move."""
+"""Speed profiles and paths of human motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every script does around its work: readable errors, settings and versions beside the results, tables."""
+"""The frame of every script: readable errors, settings and versions beside the results, tables."""
 
 from __future__ import annotations
 

@@ -40,11 +40,11 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Demonstration:
-    """What was seen of one demonstration, and what is known at its start.
+    """The observations of one demonstration, its initial state and its context.
 
     s0: (n_s,) initial state.
     context: (n_c,) known to the cost, e.g. the goal keypoints.
-    observations: (T+1, n_z) what the IRL loss compares with `OCP.observation` of the planned states.
+    observations: (T+1, n_z), which the IRL loss compares with `OCP.observation` of the planned states.
     """
 
     s0: Array
@@ -73,7 +73,7 @@ class Sight:
 
 
 class Status(Enum):
-    """How a solve ended; the value is the remedy."""
+    """End of a solve; the value is the remedy."""
 
     CONVERGED = "the KKT conditions hold to the solver's tolerance."
     STEPS_TAKEN = (
@@ -89,7 +89,7 @@ class Status(Enum):
 
     @property
     def ok(self) -> bool:
-        """True when the solver did what it was asked to do."""
+        """True when the solver finished its task."""
         return self in (Status.CONVERGED, Status.STEPS_TAKEN)
 
 
@@ -134,7 +134,7 @@ class Multipliers:
 
 @dataclass(frozen=True)
 class KKTResiduals:
-    """How far a point is from the first-order conditions; every entry is a largest absolute value.
+    """Residuals of the first-order conditions at a point; every entry is a largest absolute value.
 
     stationarity: gradient of the Lagrangian.
     feasibility: violation of dynamics, bounds and path constraints, in their own units.

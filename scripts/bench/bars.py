@@ -1,4 +1,4 @@
-"""What the package claims about its speed, held against what was measured in the same run."""
+"""Claims of the package about its speed, held against the measurements of the same run."""
 
 from __future__ import annotations
 

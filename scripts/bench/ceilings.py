@@ -1,4 +1,4 @@
-"""What this machine can do in dense products on one thread (numpy's BLAS), and what the gradients achieve of it."""
+"""Speed of dense products on one thread of this machine (numpy's BLAS), and the share that the gradients reach."""
 
 from __future__ import annotations
 

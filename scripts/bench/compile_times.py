@@ -1,4 +1,4 @@
-"""What `learn_cost.py` spends on compilation, with an empty cache and again with what it left there."""
+"""Compilation times of `learn_cost.py`, with an empty cache and again with the one it left."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ NAMES = (*_PEERS, OURS)
 
 
 def find(name: str) -> Prepare | None:
-    """How a contender gets ready for data; None if it is not installed. Imports it."""
+    """The function that prepares a contender for data; None if it is not installed. Imports it."""
     if name in (OURS, ALONE):
         return ours if name == OURS else alone
     module, needed, options = _PEERS[name]

@@ -113,7 +113,7 @@ def _loop(folder: Path, library: Path, flags: tuple[str, ...]) -> Path:
 
 
 def _in_python(data: NetworkCase, flags: tuple[str, ...], steps: int) -> dict[str, Numbers]:
-    """The same loop around solvers that are called from Python, the exported one among them."""
+    """The closed loop around solvers that are called from Python, the exported one among them."""
     with tempfile.TemporaryDirectory() as scratch:
         examples = [(data.s0[0], data.goal[0])]
         folder = export_c(data.bounded, SOLVERS[REAL_TIME], scratch, psi=data.psi.ravel(), examples=examples)

@@ -1,4 +1,4 @@
-"""How time grows with the horizon: one iteration of the solver, the whole solve, and the implicit gradient."""
+"""Growth of time with the horizon: one iteration of the solver, the whole solve, and the implicit gradient."""
 
 from __future__ import annotations
 

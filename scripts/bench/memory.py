@@ -1,4 +1,4 @@
-"""How far the memory of a fresh process peaks while one gradient is built, compiled and evaluated.
+"""Peak memory of a fresh process while one gradient is built, compiled and evaluated.
 
 Every entry is a process of its own; a C compiler that it starts is not counted. The peak is read from /proc, which
 only Linux has.

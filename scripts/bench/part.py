@@ -1,4 +1,4 @@
-"""What every part of the benchmark hands over: tables to read, and numbers for metrics.json, figure and bars."""
+"""The result of every part of the benchmark: tables to read, and numbers for metrics.json, figure and bars."""
 
 from __future__ import annotations
 

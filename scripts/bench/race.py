@@ -19,7 +19,7 @@ Skip = Callable[[str], str | None]
 
 @dataclass(frozen=True)
 class Result:
-    """How one contender did; without a timing, why it did not take part.
+    """The timing of one contender, or the reason why it did not take part.
 
     first: building, compiling and the first call [s]. error: relative difference of loss and gradient from ours.
     """

@@ -1,4 +1,4 @@
-"""How much the benchmark measures."""
+"""Sizes of the benchmark."""
 
 from __future__ import annotations
 

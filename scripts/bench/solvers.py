@@ -29,7 +29,7 @@ RICCATI = {tolerance: f"Riccati, {tolerance:.0e}" for tolerance in (1e-6, 1e-8, 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one solver found from one start."""
+    """The solution of one solver from one start."""
 
     objective: float
     trajectory: Trajectory

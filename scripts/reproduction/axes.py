@@ -1,4 +1,4 @@
-"""What the weights of an axis are worth: the IRL loss on the test demonstrations of reaching without them.
+"""Worth of the weights of an axis: the IRL loss on the test demonstrations of reaching without them.
 
 Along y the object stays where it is, at its goal. Do weights on y hold it there, or do they not matter?
 """
@@ -41,7 +41,7 @@ def jobs(
 
 
 def name_of(learned: str) -> str:
-    """Of the job about the cost of the job `learned`."""
+    """Name of the job about the cost of the job `learned`."""
     return f"axes/{learned}"
 
 

@@ -1,4 +1,4 @@
-"""What the experiments learn from: demonstrations, collected when they are missing, through the trained detector."""
+"""The demonstrations of the experiments, collected when they are missing, through the trained detector."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NAMES = ("detector", "reaching", "placing")
 
 @dataclass(frozen=True)
 class Models:
-    """Where the three trained models are (cards), and a hash of what is in them."""
+    """Cards of the three trained models, and a hash of their files."""
 
     detector: Path
     reaching: Path

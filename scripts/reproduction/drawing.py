@@ -54,7 +54,7 @@ def keypoint_weights(panels: Mapping[str, Sequence[Array]]) -> Figure:
 
 
 def early_and_late_weights(panels: Mapping[str, Sequence[Array]], steps: int) -> Figure:
-    """The same in the mean over the first `steps`, plain, and the last `steps`, hatched."""
+    """Weights (T, n_z) over seeds, in the mean over the first `steps`, plain, and the last `steps`, hatched."""
     figure, axes = new_figure(1, len(panels), width=4.2, height=2.8)
     for axis, (title, runs) in zip(axes, panels.items(), strict=True):
         for side, hatch in ((-1, None), (1, "////")):

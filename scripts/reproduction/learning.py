@@ -36,7 +36,7 @@ class Contender:
 
     @property
     def label(self) -> str:
-        """As tables and figures name it."""
+        """Name in tables and figures."""
         first = {"unrolled": self.cost, "apprenticeship": "Apprenticeship", "default": "Default"}
         method, *rest = self.method.split(", ")
         return ", ".join([first.get(method, f"{self.cost}, {method}"), *rest])
@@ -61,7 +61,7 @@ EFFORT = (  # a single step from u = 0 knows no effort
 
 @dataclass(frozen=True)
 class Lesson:
-    """What is learned and how: outer iterations, and the seed of the starting weights."""
+    """A task of learning: contender, inner loop, outer iterations, and the seed of the starting weights."""
 
     contender: Contender
     inner: InnerLoop
@@ -90,7 +90,7 @@ def learn(dynamics: NetworkDynamics, demonstrations: Sequence[Demonstration], le
 
 
 def learn_or_fail(dynamics: NetworkDynamics, demonstrations: Sequence[Demonstration], lesson: Lesson) -> Result:
-    """What a job returns of a learned cost (`unpacked` gives it back), or the "failure" that the report will name."""
+    """The result of a job that learns a cost (`unpacked` gives it back), or the "failure" that the report will name."""
     try:
         learned = learn(dynamics, demonstrations, lesson)
     except CertificateError as error:
@@ -188,7 +188,7 @@ class Tried:
 
 
 def tried(results: dict[str, Result], task: str, inner_loops: Sequence[InnerLoop]) -> list[Tried]:
-    """What became of every candidate."""
+    """Validation results of every candidate."""
     found = []
     for inner in inner_loops:
         names = [f"choice/{task}-{inner.steps}-{inner.step_size:g}-{cost}" for cost in COSTS]

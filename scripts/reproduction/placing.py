@@ -46,7 +46,7 @@ CONTENDERS = (*UNROLLED, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT, *E
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What the robot faces.
+    """The robot's task.
 
     joints: (2, 7) [rad] of the two starts. demonstration: the person's, moved to the robot at start 1.
     goal_place: (2,) where the middle of the bottle should end [pixels], known to the simulation only.
@@ -83,7 +83,7 @@ def jobs(models: Models, found: dict[int, Setup], chosen: InnerLoop, preset: Pre
 
 
 def name_of(contender: Contender, seed: int) -> str:
-    """Of the job."""
+    """Name of the job."""
     return f"placing/{contender.cost}-{contender.method.replace(', ', '-').replace(' ', '-')}-{seed}"
 
 
@@ -94,7 +94,7 @@ def run(models: Models, demonstration: Demonstration, lesson: Lesson) -> Result:
 
 @dataclass(frozen=True)
 class Condition:
-    """What may go wrong. model_gain: the model's keypoints move this many times as far as they were trained to."""
+    """A disturbed condition. model_gain: the model's keypoints move this many times as far as they were trained to."""
 
     disturbance: Disturbance = Disturbance()
     model_gain: float = 1.0
@@ -124,7 +124,7 @@ def execution_jobs(models: Models, found: dict[int, Setup], learned: dict[str, R
 
 
 def executed_name(contender: Contender, seed: int, start: int, closed: bool) -> str:
-    """Of the job."""
+    """Name of the job."""
     loop = "closed" if closed else "open"
     return f"placing-executed/{contender.label.replace(', ', '-').replace(' ', '-')}-{seed}-{start}-{loop}"
 

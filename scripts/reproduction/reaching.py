@@ -75,7 +75,7 @@ def jobs(
 
 
 def name_of(contender: Contender, count: int, seed: int) -> str:
-    """Of the job."""
+    """Name of the job."""
     return f"reaching/{contender.cost}-{contender.method.replace(', ', '-').replace(' ', '-')}-{count}-{seed}"
 
 

@@ -1,4 +1,4 @@
-"""How often placing succeeds when something goes wrong, over random cases; the costs are those of experiment 2."""
+"""Success rates of placing under disturbances, over random cases; the costs are those of experiment 2."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def jobs(models: Models, found: dict[int, Setup], learned: dict[str, Result], ca
 
 
 def label(contender: Contender, closed: bool) -> str:
-    """As the report names a run."""
+    """Name of a run in the report."""
     return contender.label if closed else f"{contender.label}, open loop"
 
 
 def name(condition: str, contender: Contender, closed: bool) -> str:
-    """Of the job."""
+    """Name of the job."""
     parts = (condition, contender.label, "closed" if closed else "open")
     return "robustness/" + "-".join(parts).replace(", ", "-").replace(" ", "-")
 

@@ -1,4 +1,4 @@
-"""What is run: the numbers of the paper where it gives them, and how much of everything else."""
+"""Sizes of the experiments: the numbers of the paper where it gives them, and our own for the rest."""
 
 from __future__ import annotations
 

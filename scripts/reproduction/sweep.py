@@ -35,7 +35,7 @@ class Job:
     arguments: Mapping[str, Any]
 
     def path(self, directory: Path) -> Path:
-        """Where its result is kept."""
+        """File of its result."""
         code = hashlib.sha256(inspect.getsource(self.function).encode()).hexdigest()
         key = joblib.hash((code, dict(self.arguments)))
         return directory / f"{self.name}-{key[:16]}.npz"
@@ -68,7 +68,7 @@ def _read(path: Path) -> Result:
 
 @contextlib.contextmanager
 def backend(name: str, address: str | None, workers: int) -> Iterator[None]:
-    """Where joblib runs the jobs: "loky" on this machine, "dask" or "ray" at an address (None: a cluster of `workers`).
+    """Context in which joblib runs the jobs: "loky" here, "dask" or "ray" at an address (None: a cluster of `workers`).
 
     A cluster's machines need the package, and the models at the same paths.
 

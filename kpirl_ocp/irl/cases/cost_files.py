@@ -54,7 +54,11 @@ class LearnedCost:
 
     @classmethod
     def read(cls, path: Path) -> LearnedCost:
-        """Read it back. Raises FileError, naming the file, if it is missing or malformed."""
+        """The cost of a file that `write` wrote.
+
+        Raises:
+            FileError: the file is missing or is no learned cost; the message names it.
+        """
         try:
             content = json.loads(path.read_text())
             effort = content["effort"]

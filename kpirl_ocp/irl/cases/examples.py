@@ -21,7 +21,7 @@ from kpirl_ocp.types import Demonstration
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A problem with what is needed to differentiate it.
+    """A problem with a demonstration, and parameters at which to differentiate it.
 
     psi: (n_psi,) where to differentiate; away from the demonstration, so that no gradient vanishes.
     step_size, steps: of a gradient descent that converges to rounding on the problem without state constraints.
@@ -136,7 +136,7 @@ CASES = {"lqr": lqr, "integrator": integrator, "pendulum": pendulum, "iiwa": iiw
 
 @lru_cache
 def unconstrained(case: Case) -> Case:
-    """The same case without bounds and path constraints."""
+    """A case without its bounds and path constraints."""
     return replace(case, problem=case.problem.unconstrained())
 
 

@@ -45,17 +45,17 @@ class NetworkCase:
 
     @property
     def weights(self) -> tuple[Array, ...]:
-        """One (n_l, n_{l-1}) per layer."""
+        """Weight matrices (n_l, n_{l-1}) of the layers."""
         return self.model.mlp.weights
 
     @property
     def biases(self) -> tuple[Array, ...]:
-        """One (n_l,) per layer."""
+        """Biases (n_l,) of the layers."""
         return self.model.mlp.biases
 
     @property
     def activation(self) -> str:
-        """Of the hidden layers."""
+        """Name of the activation of the hidden layers."""
         return self.model.mlp.activations[0]
 
     @property
@@ -65,7 +65,7 @@ class NetworkCase:
 
     @cached_property
     def demonstrations(self) -> list[Demonstration]:
-        """As this package takes them."""
+        """The B demonstrations as records."""
         return [Demonstration(*arrays) for arrays in zip(self.s0, self.goal, self.observed, strict=True)]
 
     @cached_property

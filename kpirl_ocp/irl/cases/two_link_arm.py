@@ -54,7 +54,7 @@ def folding(horizon: int = 49) -> Trajectory:
 
 
 def hand(angles: Array) -> Array:
-    """Where the hand is (2,) [m]."""
+    """Position of the hand (2,) [m]."""
     first, both = angles[0], angles[0] + angles[1]
     return np.array([np.cos(first) + np.cos(both), np.sin(first) + np.sin(both)])
 

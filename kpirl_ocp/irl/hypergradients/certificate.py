@@ -58,7 +58,7 @@ def demonstrated_observations(problem: OCP, demonstration: Demonstration) -> Arr
 
 
 def nonfinite_failures(loss: float, gradient: Array) -> list[str]:
-    """The failure that NaN or infinity is, if there is any."""
+    """One failure message if loss or gradient is not finite, else none."""
     if np.isfinite(loss) and np.isfinite(gradient).all():
         return []
     return ["The loss or its gradient is NaN or infinite: look at the solution's status and the dynamics."]

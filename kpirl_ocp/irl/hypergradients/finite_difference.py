@@ -71,7 +71,10 @@ class FiniteDifference:
     def __call__(
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
-        """See `Hypergradient`; needs 8 n_psi + 1 solves."""
+        """Loss, gradient (n_psi,) and certificate at psi (n_psi,); arguments and errors as in `Hypergradient`.
+
+        Needs 8 n_psi + 1 solves.
+        """
         s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
         observed, loss = demonstrated_observations(problem, demonstration), self.loss(problem)
         solutions: list[Solution] = []

@@ -62,7 +62,7 @@ class Implicit:
     def __call__(
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
-        """See `Hypergradient`."""
+        """Loss, gradient (n_psi,) and certificate at psi (n_psi,); arguments and errors as in `Hypergradient`."""
         solver: Solver = self.solver
         if self.policy == "smooth" and isinstance(solver, BarrierSolver):
             solver = solver.with_barrier(self.barrier)

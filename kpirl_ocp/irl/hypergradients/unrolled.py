@@ -1,6 +1,6 @@
 """Differentiate through the gradient steps of the inner loop (the paper's way; Algorithm 1).
 
-With u_{k+1} = Phi(u_k, psi), k = 0..N-1, and the loss L(u_N), reverse accumulation is one sweep over the steps:
+With u_{k+1} = Phi(u_k, psi), k = 0..N-1, and the loss L(u_N), reverse accumulation is one pass back over the steps:
 
     v_N = dL/du,    v_k = (dPhi/du)^T v_{k+1},    dL/dpsi = dL/dpsi|_u + sum_k (dPhi/dpsi)^T v_{k+1}.
 
@@ -45,8 +45,8 @@ _REMAINDER = 1e-9
 class UnrolledCertificate(Certificate):
     """Evidence for a gradient through gradient steps.
 
-    steps: N. differentiated: how many of the last steps the sweep went through.
-    remainder: |v_{N-k}| / |v_N|, the adjoint that the sweep stopped with; it multiplies everything left out.
+    steps: N. differentiated: how many of the last steps the reverse pass went through.
+    remainder: |v_{N-k}| / |v_N|, the adjoint at which the reverse pass stopped; it multiplies everything left out.
     kink_distance: smallest distance of an unprojected iterate to its bound; infinite without projection.
     """
 
@@ -60,7 +60,7 @@ class UnrolledCertificate(Certificate):
 class Unrolled:
     """The exact gradient of the loss after all N steps.
 
-    It is the derivative of what the steps do, whether or not they converge: `certificate.solution.status` says that.
+    It is the derivative of the map that the steps make up, converged or not (`certificate.solution.status`).
 
     solver: the gradient descent to unroll; no other solver can be.
     loss: IRL loss.
@@ -80,13 +80,13 @@ class Unrolled:
     def __call__(
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
-        """See `Hypergradient`."""
+        """Loss, gradient (n_psi,) and certificate at psi (n_psi,); arguments and errors as in `Hypergradient`."""
         return self.batch(problem, [demonstration], psi, guess)[0]
 
     def batch(
         self, problem: OCP, demonstrations: Sequence[Demonstration], psi: ArrayLike, guess: Guess = None
     ) -> list[HypergradientResult]:
-        """The same for several demonstrations in one call, with matrix products where one has matrix times vector."""
+        """One result per demonstration, from matrix products where a single demonstration has matrix times vector."""
         steps = self.solver.steps
         results = unrolled_gradients(
             problem, self.solver, self.loss, steps, demonstrations, psi, guess, self.checkpoint
@@ -115,7 +115,7 @@ class Truncated:
     def __call__(
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
-        """See `Hypergradient`."""
+        """Loss, gradient (n_psi,) and certificate at psi (n_psi,); arguments and errors as in `Hypergradient`."""
         results = unrolled_gradients(problem, self.solver, self.loss, self.last, [demonstration], psi, guess)
         return enforce(self.policy, results[0])
 

@@ -1,1 +1,1 @@
-"""What demonstrations determine of a learned cost: intervals, known directions, and the next demonstration."""
+"""Identifiability of a learned cost: intervals, known directions, and the next demonstration."""

@@ -1,4 +1,4 @@
-"""Which parameters of a cost the demonstrations determine, and how well.
+"""Identifiability of the parameters of a cost from demonstrations, and their accuracy.
 
 Near the minimum of the IRL loss, demonstrations z_demo = z(psi) + noise of standard deviation sigma determine psi up to
 a normal distribution with the precision
@@ -33,7 +33,7 @@ _OUTSIDE = 1e-6  # a combination with this share of its length among unknown dir
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What the demonstrations say about psi.
+    """Evidence of the demonstrations about psi.
 
     psi: (n_psi,) where the loss was linearised. information: F (n_psi, n_psi).
     spread: (n_psi,) the standard deviation of psi before learning, and the unit in which directions are compared.
@@ -102,7 +102,7 @@ class Identification:
         return self._around(rows, np.where(outside, np.inf, deviations), level)
 
     def credible_intervals(self, level: float = 0.9, combinations: ArrayLike | None = None) -> Array:
-        """The same from the data and the spread together: never wider than what was believed before learning.
+        """Intervals from the data and the spread together: never wider than the prior ones.
 
         They are about the psi that minimises the loss over sigma^2 plus |(psi - start) / spread|^2, which is where
         learning from a start ends, roughly: directions that the data do not determine stay at the start.
@@ -135,7 +135,7 @@ def identify(
     noise: float | None = None,
     method: Hypergradient = CONVERGED,
 ) -> Identification:
-    """What the demonstrations determine of a learned psi (n_psi,).
+    """Evidence of demonstrations about a learned psi (n_psi,).
 
     spread: a number or (n_psi,); see `Identification`. `gains.stiffness` gives one that makes axes comparable.
     noise: standard deviation of the observations; by default from the residuals, which counts misfit as noise.

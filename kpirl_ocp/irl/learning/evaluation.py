@@ -1,4 +1,4 @@
-"""How well a cost does on demonstrations that it was not trained on."""
+"""Evaluation of a cost on demonstrations that it was not trained on."""
 
 from __future__ import annotations
 
@@ -31,7 +31,11 @@ def evaluate(
     demonstrations: Sequence[Demonstration],
     loss: Loss = squared_distance,
 ) -> Evaluation:
-    """Plan from the start of every demonstration with the cost psi, and compare."""
+    """Plan from the start of every demonstration with the cost psi (n_psi,), and compare.
+
+    Raises:
+        ProblemError: the observations of a demonstration do not fit the problem.
+    """
     solutions = tuple(solver.solve(problem, demo.s0, psi, demo.context) for demo in demonstrations)
     measure = loss(problem)
     pairs = list(zip(solutions, demonstrations, strict=True))

@@ -26,7 +26,7 @@ from kpirl_ocp.types import Array, Demonstration
 
 @dataclass(frozen=True)
 class LearningState:
-    """Where learning stands: the evaluated psi, the optimiser's memory, and the best point so far."""
+    """State of learning: the evaluated psi, the optimiser's memory, and the best point so far."""
 
     point: Point
     memory: Any
@@ -72,7 +72,7 @@ class Learner:
 
 @dataclass(frozen=True)
 class LearningResult:
-    """What was learned, and how.
+    """The learned psi and the history of learning.
 
     psi: (n_psi,) with the lowest training loss. loss: that loss.
     losses: (n+1,) training loss after 0 .. n steps. psis: (n+1, n_psi).

@@ -1,4 +1,4 @@
-"""Demonstrations from what a keypoint detector saw: z_t are x and y of K keypoints, z_goal is the last of them.
+"""Demonstrations from detected keypoints: z_t are x and y of K keypoints, z_goal is the last of them.
 
 A robot's own demonstration (paper, section 5.1) comes with its joints. A person's (section 5.2) does not: only how the
 keypoints move relative to the first frame is kept, and the robot starts from its own keypoints,
@@ -32,8 +32,9 @@ def positions(keypoints: ArrayLike) -> Array:
 
 def robot_demonstration(dynamics: NetworkDynamics, track: ArmTrack) -> Demonstration:
     """A demonstration by the robot itself."""
-    seen = positions(track.keypoints)
-    return Demonstration(dynamics.state(seen[0], track.joints[0], track.velocities[0]), seen[-1], seen)
+    observations = positions(track.keypoints)
+    start = dynamics.state(observations[0], track.joints[0], track.velocities[0])
+    return Demonstration(start, observations[-1], observations)
 
 
 def transferred_demonstration(
@@ -43,15 +44,15 @@ def transferred_demonstration(
 
     Raises ProblemError if the two have different numbers of keypoints.
     """
-    start, seen = positions(keypoints), positions(track.keypoints)
-    if start.shape != seen[0].shape:
-        raise ProblemError(f"the robot sees {len(start) // 2} keypoints, the demonstration has {len(seen[0]) // 2}.")
-    wanted = start + seen - seen[0]
-    return Demonstration(dynamics.state(start, joints), wanted[-1], wanted)
+    start, person = positions(keypoints), positions(track.keypoints)
+    if start.shape != person[0].shape:
+        raise ProblemError(f"the robot sees {len(start) // 2} keypoints, the demonstration has {len(person[0]) // 2}.")
+    observations = start + person - person[0]
+    return Demonstration(dynamics.state(start, joints), observations[-1], observations)
 
 
 def moving_keypoints(demonstrations: Sequence[Demonstration]) -> Mask:
-    """Which keypoints (K,) move in the demonstrations, by their mean way from the first to the last frame."""
+    """Mask (K,) of the keypoints that move in the demonstrations, by their mean way from first to last frame."""
     ways = [demo.observations[-1] - demo.observations[0] for demo in demonstrations]
     lengths = np.linalg.norm(np.reshape(ways, (len(ways), -1, 2)), axis=-1).mean(axis=0)
     return np.asarray(lengths >= _MOVES * lengths.max())

@@ -57,7 +57,7 @@ class InnerLoop:
 
 @dataclass(frozen=True, eq=False)
 class LearnedPlan:
-    """A learned cost and how it was learned.
+    """A learned cost and the history of learning.
 
     losses: (n+1,) mean training IRL loss after 0 .. n outer iterations. best: the one whose cost was kept.
     seconds: wall time.

@@ -1,7 +1,7 @@
 """Costs over detected keypoints that are ready to plan with, however they were found.
 
 Every member of the family is its weights W (T, n_z) and efforts rho (T,), so one planning problem serves all of them,
-with psi = (W row by row, rho). It also serves what is left of a plan: after t steps the weights move up by t rows, and
+with psi = (W row by row, rho). It also serves the rest of a plan: after t steps the weights move up by t rows, and
 the steps beyond the horizon get no weight.
 """
 
@@ -25,7 +25,7 @@ from kpirl_ocp.types import Array
 
 @dataclass(frozen=True, eq=False)
 class PlanningCost:
-    """A cost and the solver it is for; a number of gradient steps is part of what was learned.
+    """A cost and the solver it was learned with, whose number of gradient steps is part of the cost.
 
     weights: W (T, n_z), row t-1 for z_t. efforts: rho (T,), of u_0 .. u_{T-1}.
     """
@@ -55,7 +55,7 @@ class PlanningCost:
         return np.concatenate([self.weights.ravel(), self.efforts])
 
     def after(self, steps: int) -> PlanningCost:
-        """What is left of the cost after `steps` of the plan; effort alone keeps the steps beyond the end at zero."""
+        """The remaining cost after `steps` of the plan; effort alone keeps the steps beyond the end at zero."""
         if not 0 <= steps <= self.horizon:
             raise ProblemError(f"steps must be within the plan of {self.horizon}, got {steps}.")
         past_the_end = np.full(steps, self.efforts.max())

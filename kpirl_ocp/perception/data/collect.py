@@ -1,4 +1,4 @@
-"""Collect a data set: play a motion many times, in parallel over processes, and write what the camera saw.
+"""Collect a data set: play a motion many times, in parallel over processes, and write the recordings.
 
 Episode i depends on the seed and i alone, and is written whole or not at all; an interrupted collection goes on where
 it stopped.
@@ -24,7 +24,9 @@ from kpirl_ocp.perception.scene.camera import Camera
 def collect(directory: str | Path, motion: Motion, count: int, seed: int = 0, jobs: int = 1) -> Path:
     """Write `count` episodes of a motion with their `meta.json`; those that are there already are kept.
 
-    Raises EpisodeError if the directory holds data of other settings.
+    Raises:
+        ProblemError: no episode, no process or a negative seed is asked for.
+        EpisodeError: the directory holds data of other settings.
     """
     directory = Path(directory)
     if count < 1 or jobs < 1 or seed < 0:
@@ -58,7 +60,7 @@ def describe(motion: Motion, seed: int) -> dict[str, Any]:
 
 
 def _agree(directory: Path, count: int, meta: Mapping[str, Any]) -> None:
-    """Write the meta data, or check that what is there was made with the same settings."""
+    """Write the meta data, or check that the data on disk were made with the same settings."""
     if (directory / "meta.json").exists():
         found = read_meta(directory)
         different = [key for key, value in meta.items() if _plain(found.get(key)) != _plain(value)]

@@ -86,7 +86,7 @@ def _open(path: Path) -> tuple[av.container.InputContainer, av.VideoStream]:
 
 
 def _promised_seconds(container: av.container.InputContainer, stream: av.VideoStream) -> float:
-    """How long the file says it is [s]; 0 if it does not say."""
+    """Duration that the file states [s]; 0 if it states none."""
     counted = stream.frames / stream.average_rate if stream.average_rate else 0
     timed = stream.duration * stream.time_base if stream.duration and stream.time_base else 0
     alone = len(container.streams.get()) == 1  # sound may be longer than the picture

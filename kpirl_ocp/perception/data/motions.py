@@ -1,8 +1,8 @@
-"""What the robot and the hand do in front of the camera: one small record per data set of the paper.
+"""Motions of the robot and the hand in front of the camera: one small record per data set of the paper.
 
 Each has the paper's numbers as defaults, a `rate` [Hz], a usual number of `episodes`, and `write(path, rng)`, which
-plays one episode. What the paper leaves open (where the arm is, how far it moves) is chosen so that the bottle stays in
-the image.
+plays one episode. Numbers that the paper leaves open (where the arm is, how far it moves) are chosen so that the
+bottle stays in the image.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True)
 class ArmMotion(_Checked, ABC):
-    """A motion of the robot, recorded with all that its encoders and camera see."""
+    """A motion of the robot, recorded with its encoders and camera."""
 
     rate: int = setting(5, "frames per second, a divisor of 240")
 
@@ -188,7 +188,7 @@ class HandMotion(_Checked, ABC):
 
     @abstractmethod
     def path(self, rng: np.random.Generator) -> Array:
-        """Where the bottle is carried (n, 3) [m]."""
+        """Path of the bottle (n, 3) [m]."""
 
     def write(self, path: Path, rng: np.random.Generator) -> None:
         """Film one clip: the truth to `path`, the video beside it."""
@@ -268,7 +268,7 @@ def _visible(scene: Scene, draw: Callable[[], Array]) -> Array:
 
 
 def _position(scene: Scene, theta: Array) -> Array:
-    """Where the bottle is (3,) [m] with the arm at theta (7,) [rad]."""
+    """Position of the bottle (3,) [m] with the arm at theta (7,) [rad]."""
     scene.reset(theta)
     return scene.link_pose(BOTTLE)[1]
 

@@ -1,4 +1,4 @@
-"""What the camera recorded, with the truth about the object that only a simulation knows (for evaluation)."""
+"""Recordings of the camera, with the truth about the object that only a simulation knows (for evaluation)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kpirl_ocp.types import Array
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """Where the bottle is in a clip of T+1 frames.
+    """The bottle in a clip of T+1 frames, as the simulation knows it.
 
     bottle: (T+1, H, W) bool, the pixels that show it.
     place: (T+1, 2) its projected middle [pixels].
@@ -31,7 +31,7 @@ class GroundTruth:
 
     @staticmethod
     def columns(frames: Sequence[Frame], rate: float) -> dict[str, Any]:
-        """The three arrays of a clip at `rate` [Hz]."""
+        """The arrays of a clip at `rate` [Hz] by name."""
         return {
             "bottle": np.array([frame.bottle for frame in frames]),
             "place": np.array([frame.place for frame in frames]),
@@ -41,14 +41,14 @@ class GroundTruth:
 
 @dataclass(frozen=True, eq=False)
 class Recording(GroundTruth):
-    """The frames as well: images (T+1, H, W, 3) uint8 RGB."""
+    """A clip with the truth about it; images: (T+1, H, W, 3) uint8 RGB."""
 
     images: NDArray[np.uint8] = stored("observation.images.camera", np.uint8, "T+1", "H", "W", 3)
 
 
 @dataclass(frozen=True, eq=False)
 class ArmRecording(Recording):
-    """A clip of the robot, with what its encoders measured and what it was told.
+    """A clip of the robot, with its measured joints and its commands.
 
     joints: (T+1, 7) [rad]. velocities: (T+1, 7) [rad/s]. actions: (T, 7) commanded joint displacements [rad].
     """

@@ -103,7 +103,7 @@ def read_demonstration(
 
 
 def sample_indices(count: int, source_rate: float, rate: float) -> Indices:
-    """Which of `count` frames recorded at source_rate [Hz] to take for `rate` [Hz]."""
+    """Indices of the frames to take at `rate` [Hz] from `count` frames recorded at source_rate [Hz]."""
     return np.array([index for _, index in sampled(((i / source_rate, i) for i in range(count)), rate)], np.intp)
 
 

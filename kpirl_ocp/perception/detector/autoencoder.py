@@ -94,7 +94,7 @@ class KeypointAutoencoder(nn.Module):
         )
 
     def encode(self, frames: Tensor) -> Encoded:
-        """What the encoder sees in frames (B, 3, S, S) with values in [0, 1]."""
+        """Features, scores and keypoints of frames (B, 3, S, S) with values in [0, 1]."""
         features = self.encoder(_concatenated(frames - 0.5, _coordinates(frames)))
         scores = self.head(features)
         return Encoded(features, scores, soft_argmax(scores))

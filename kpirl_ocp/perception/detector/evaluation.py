@@ -1,4 +1,4 @@
-"""How good keypoints are, one by one, measured against the truth of the simulation, in pixels of the camera's image."""
+"""Errors of keypoints, one by one, against the truth of the simulation, in pixels of the camera's image."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class DetectorScores:
     error: mean distance [pixels] between the bottle's middle and the best affine map of the keypoint to it. The map is
         fitted on half of the clips and measured on the other half, both ways.
     on_mask: share of frames in which the keypoint is on the bottle (see `on_mask`).
-    displacement: median error [pixels] of how far it moved since the first frame, without any map.
+    displacement: median error [pixels] of its displacement since the first frame, without any map.
     jitter: root mean square change [pixels] of the mapped keypoint's error from one frame to the next.
     """
 
@@ -36,12 +36,16 @@ class DetectorScores:
 
     @property
     def on_object(self) -> int:
-        """How many keypoints are on the object."""
+        """Number of keypoints on the object."""
         return int((self.on_mask >= ON_OBJECT).sum())
 
 
 def score(detector: KeypointDetector, recordings: Sequence[Recording]) -> DetectorScores:
-    """Score a detector on at least two clips it has not been trained on."""
+    """Score a detector on clips it has not been trained on.
+
+    Raises:
+        TrainingError: fewer than two clips.
+    """
     if len(recordings) < 2:
         raise TrainingError(f"scores need at least two clips, got {len(recordings)}.")
     size = recordings[0].images.shape[1]
@@ -63,7 +67,7 @@ def score(detector: KeypointDetector, recordings: Sequence[Recording]) -> Detect
 
 
 def on_mask(track: Array, mask: Mask) -> Mask:
-    """Whether keypoints (n, K, 2) [pixels] are on masks (n, H, W): (n, K).
+    """Mask (n, K) of the keypoints (n, K, 2) [pixels] that lie on the masks (n, H, W).
 
     Gaps of a mask are closed first: a finger of the gripper, 6 pixels wide, lies across the bottle.
     """

@@ -1,6 +1,6 @@
 """From scores of image cells to keypoints and back (Minderer et al., Unsupervised Learning of Object Structure, 2019).
 
-A keypoint is (x, y, mu): x to the right and y down, from -1 to 1 across the image, and mu in [0, 1], how sure it is.
+A keypoint is (x, y, mu): x to the right and y down, from -1 to 1 across the image, and a confidence mu in [0, 1].
 The centre of cell i of n is at (2 i + 1) / n - 1.
 """
 
@@ -26,7 +26,7 @@ def cell_centres(count: int) -> Tensor:
 
 
 def spatial_softmax(scores: Tensor) -> Tensor:
-    """Where a keypoint is, as a distribution p (..., h, w) over the cells: the softmax of scores (..., h, w)."""
+    """Distribution p (..., h, w) of a keypoint over the cells: the softmax of scores (..., h, w)."""
     return scores.flatten(-2).softmax(-1).unflatten(-1, scores.shape[-2:])
 
 

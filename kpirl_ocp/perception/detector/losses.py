@@ -1,4 +1,4 @@
-"""What the detector is trained on; no labels anywhere.
+"""The losses of the detector, which need no labels.
 
 Reconstruction, separation and sparsity are those of Minderer et al. (2019). Alone they let keypoints settle on whatever
 helps to paint the image; the others tie them to one object that moves and make them follow it.
@@ -60,7 +60,7 @@ def repulsion(keypoints: Tensor, width: float = 0.1) -> Tensor:
 
 
 def cohesion(keypoints: Tensor, radius: float = 0.08) -> Tensor:
-    """How far keypoints (B, T, K, 3) are from their middle:  mean_k max(0, |z_k - mean_l z_l| - radius).
+    """Distance of keypoints (B, T, K, 3) from their middle:  mean_k max(0, |z_k - mean_l z_l| - radius).
 
     They belong on one object; the arm that carries it moves too.
     """
@@ -81,14 +81,14 @@ def sparsity(scores: Tensor) -> Tensor:
 
 
 def motion(clips: Tensor, cells: int) -> Tensor:
-    """Where something moves (B, T, cells, cells): |frame - median over time|, its largest value in a clip being 1."""
+    """Motion per cell (B, T, cells, cells): |frame - median over time|, its largest value in a clip being 1."""
     change = (clips - clips.median(1, keepdim=True).values).abs().sum(2)  # (B, T, S, S)
     pooled = functional.adaptive_avg_pool2d(change, cells)
     return pooled / pooled.amax((1, 2, 3), keepdim=True).clamp_min(1e-3)
 
 
 def attention(scores: Tensor, moving: Tensor) -> Tensor:
-    """-log(1e-3 + sum_ij p_ij m_ij): keypoints belong where something moves, m (B, T, cells, cells)."""
+    """-log(1e-3 + sum_ij p_ij m_ij): keypoints belong to cells with motion m (B, T, cells, cells)."""
     return -torch.log(1e-3 + (spatial_softmax(scores) * moving[:, :, None]).sum((-2, -1))).mean()
 
 

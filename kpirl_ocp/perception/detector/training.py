@@ -44,7 +44,7 @@ _PROGRESS = 0.01  # relative fall of that average that counts
 
 @dataclass(frozen=True)
 class DetectorSettings:
-    """How the detector is built and trained.
+    """Settings of the detector and its training.
 
     size: side of the images it sees [pixels]. keypoints: K. encoder: "resnet" or "plain". filters: of its first layer.
     steps: of Adam, with a step size that falls to zero along a cosine. batch: clips per step. frames: per clip.
@@ -104,7 +104,9 @@ def train_detector(
 
     checkpoint: a file written every hundred steps; if it exists, training goes on from there.
 
-    Raises TrainingError for clips shorter than `settings.frames`, TrainingError when the loss becomes NaN.
+    Raises:
+        TrainingError: there are no clips, one is shorter than `settings.frames`, or the loss becomes NaN.
+        FileError: the checkpoint is damaged or belongs to another training.
     """
     torch.manual_seed(seed)
     model = KeypointAutoencoder(settings.size, settings.keypoints, settings.encoder, settings.filters)
@@ -208,7 +210,7 @@ def _set_step_size(optimiser: torch.optim.Optimizer, settings: DetectorSettings,
 
 
 def _plateau(total: list[float], patience: int) -> bool:
-    """True if the average of the last window is not below what it was `patience` steps ago."""
+    """True if the average of the last window is not below the one of `patience` steps ago."""
     if len(total) < patience + _WINDOW:
         return False
     before = np.mean(total[-patience - _WINDOW : -patience])

@@ -26,7 +26,7 @@ _VALIDATION = 0.1  # share of the trajectories that decides when to stop
 
 @dataclass(frozen=True)
 class DynamicsSettings:
-    """How the dynamics is trained.
+    """Settings of the training.
 
     activation: of the hidden layers. steps: H >= 1, over how many predicted steps the loss is taken.
     epochs: at most. batch: stretches of H steps per update. step_size: of Adam, falling to zero along a cosine.
@@ -84,7 +84,9 @@ def train_dynamics(
 ) -> tuple[DynamicsModel, dict[str, Array]]:
     """Train on trajectories; gives the model of the best epoch and the curves "train" and "validation" (NMSE).
 
-    Raises TrainingError for fewer than two trajectories, TrainingError when the loss becomes NaN.
+    Raises:
+        TrainingError: fewer than two trajectories, none of `settings.steps` steps, a coordinate that never changes, or
+            a loss that becomes NaN.
     """
     if len(tracks) < 2:
         raise TrainingError(f"training needs at least two trajectories, got {len(tracks)}.")

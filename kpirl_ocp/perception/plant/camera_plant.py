@@ -1,6 +1,6 @@
-"""The simulated robot behind its camera and detector: what a controller looks through and acts on.
+"""The simulated robot behind its camera and detector, as a controller meets it.
 
-It can be made harder to see with: noisy images, and a patch in front of a keypoint.
+Its images can be disturbed: by noise, and by a patch in front of a keypoint.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _GREY = 128
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What spoils the images.
+    """A disturbance of the images.
 
     noise: standard deviation of normal noise on every pixel and colour [grey levels of 255].
     hidden: number of the keypoint that is hidden behind a grey square; None for none.
@@ -36,7 +36,7 @@ class Disturbance:
     until: int = 0
 
     def apply(self, frame: Frame, detector: KeypointDetector, look: int, rng: np.random.Generator) -> Frames:
-        """The image (H, W, 3) of look number `look`, spoilt."""
+        """The disturbed image (H, W, 3) of look number `look`."""
         image = frame.rgb.copy()
         if self.hidden is not None and self.since <= look < self.until:
             x, y = to_pixels(detector.detect(image[None])[0, self.hidden], len(image)).round().astype(int)
@@ -49,7 +49,7 @@ class Disturbance:
 
 @dataclass(eq=False)
 class CameraPlant:
-    """A scene with a detector; `images` and `places` remember every look: what was seen, and where the bottle was.
+    """A scene with a detector; `images` and `places` keep the image and the bottle of every look.
 
     places: (2,) each, the projected middle of the bottle [pixels], which only a simulation knows.
     """
@@ -62,7 +62,7 @@ class CameraPlant:
     places: list[Array] = field(default_factory=list)
 
     def look(self) -> Sight:
-        """Render, spoil, detect and measure."""
+        """Render, disturb, detect and measure."""
         frame = self.scene.render()
         image = self.disturbance.apply(frame, self.detector, len(self.images), self.rng)
         self.images.append(image)

@@ -1,4 +1,4 @@
-"""Where the arm starts, and where the bottle should end, when the robot is to repeat a person's placing motion.
+"""Starts of the arm and goal of the bottle for a robot that is to repeat a person's placing motion.
 
 Start 1 is near the person's start, start 2 nearer the goal. The goal is where the person's displacement takes the
 bottle from start 1.

@@ -22,7 +22,7 @@ _PHYSICS_RATE = 240  # [Hz]
 
 @dataclass(frozen=True)
 class Motors:
-    """How the arm follows a command.
+    """Position control of the joints.
 
     position_gain, velocity_gain: of PyBullet's position control. velocity_limit: [rad/s].
     ideal: jump to the commanded position instead, for tests.
@@ -118,7 +118,7 @@ class Scene(World):
         return np.array(rotation).reshape(3, 3), np.array(state[4])
 
     def render(self) -> Frame:
-        """What the camera sees now."""
+        """The camera's present image."""
         return self._render(self._arm, self._links[BOTTLE], self.link_pose(BOTTLE)[1])
 
     def _checked(self, name: str, values: ArrayLike) -> Array:

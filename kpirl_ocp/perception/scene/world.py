@@ -1,4 +1,4 @@
-"""What the scenes share: a PyBullet world with furniture, and pictures of it by the software renderer."""
+"""The common part of the scenes: a PyBullet world with furniture, and pictures of it by the software renderer."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FURNITURE = (
 
 @dataclass(frozen=True)
 class Frame:
-    """An image and where the bottle is in it.
+    """An image and the bottle in it.
 
     rgb: (H, W, 3) uint8. bottle: (H, W) bool, the pixels that show it. place: (2,) its projected middle [pixels].
     """
@@ -68,7 +68,7 @@ class World:
         return int(self._client.loadURDF(str(urdf), useFixedBase=True, flags=flags))
 
     def _render(self, body: int, link: int, position: ArrayLike) -> Frame:
-        """What the camera sees, with the bottle, `link` of `body` (-1 for its base), at position (3,) [m]."""
+        """The camera's image, with the bottle, `link` of `body` (-1 for its base), at position (3,) [m]."""
         camera = self.camera
         _, _, rgba, _, labels = self._client.getCameraImage(
             camera.width,

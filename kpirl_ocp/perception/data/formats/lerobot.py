@@ -77,7 +77,7 @@ class _DataSet:
 
     @cached_property
     def episodes(self) -> list[dict[str, Any]]:
-        """What is known of each episode, in order."""
+        """The metadata of each episode, in order."""
         if not self.latest:
             found = list(_lines(self.root / "meta" / "episodes.jsonl"))
         else:

@@ -61,7 +61,7 @@ def write_lerobot(directory: str | Path, takes: Sequence[Take], rate: float, rob
 
 
 def _row(take: Take, number: int, start: int, place: dict[str, int], rate: float) -> dict[str, Any]:
-    """What is known of one episode: its task, its length, its files."""
+    """Metadata of one episode: its task, its length, its files."""
     row: dict[str, Any] = {"episode_index": number, "tasks": [take.task], "length": len(take)}
     row |= {"dataset_from_index": start, "dataset_to_index": start + len(take)}
     row |= {f"data/{key}": value for key, value in place.items()}

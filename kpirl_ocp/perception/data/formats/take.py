@@ -96,7 +96,7 @@ class Take:
     def demonstration(
         self, state: str = "observation.state", observation: str | None = None, context: ArrayLike = ()
     ) -> Demonstration:
-        """What inverse RL learns from, T = n - 1 steps.
+        """The take as a demonstration of T = n - 1 steps.
 
         Args:
             state: name of the array whose first row is s_0.
