@@ -67,7 +67,7 @@ typedef struct kpirl_mpc_merit {
 /* A line of the log. */
 typedef struct kpirl_mpc_iteration {
   int iteration, trials;
-  double objective, infeasibility, dual_infeasibility, complementarity, tau, step, regularisation, primal_length, dual_length;
+  real objective, infeasibility, dual_infeasibility, complementarity, tau, step, regularisation, primal_length, dual_length;
 } kpirl_mpc_iteration;
 
 typedef struct kpirl_mpc_options {
@@ -82,7 +82,7 @@ typedef struct kpirl_mpc_options {
 } kpirl_mpc_options;
 
 typedef struct kpirl_mpc_residuals {
-  double stationarity, feasibility, complementarity, scale;
+  real stationarity, feasibility, complementarity, scale;
 } kpirl_mpc_residuals;
 
 typedef struct kpirl_mpc_core {
@@ -118,6 +118,14 @@ int kpirl_mpc_n_bounds(const kpirl_mpc_core *core);
 int kpirl_mpc_n_inequalities(const kpirl_mpc_core *core);
 int kpirl_mpc_n_equalities(const kpirl_mpc_core *core);
 
+/* How many numbers the memory of a core holds, in how many arrays behind `head` bytes; for memory of a constant size. */
+typedef struct kpirl_mpc_core_count {
+  size_t head, reals, integers, arrays;
+} kpirl_mpc_core_count;
+
+void kpirl_mpc_count_core(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_bounds *bounds,
+                          const kpirl_mpc_model *model, kpirl_mpc_core_count *count);
+
 /* Bytes for a problem, and the core in that memory, aligned as from malloc; what the pointers of the arguments show is not
  * copied and must stay. */
 size_t kpirl_mpc_core_size(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_bounds *bounds,
@@ -146,7 +154,7 @@ void kpirl_mpc_bound_multipliers(const kpirl_mpc_core *core, real *net);
 typedef struct kpirl_mpc_view {
   const real *x, *costates, *path_multipliers, *equality_multipliers; /* of h and h_T; of e and e_T */
   const real *defects, *path, *equality, *gradient, *F, *G, *E, *H;
-  double objective, tau;
+  real objective, tau;
   int iterations, matrices;
 } kpirl_mpc_view;
 
@@ -189,6 +197,8 @@ void kpirl_mpc_find_residuals(const kpirl_mpc_core *core, real tau, kpirl_mpc_re
 
 /* newton */
 #define KPIRL_MPC_BOUNDARY ((real)0.99) /* fraction to the boundary of slacks; of multipliers, the smallest one */
+/* The factors of the condensed Hessian; returns whether it is positive along the dynamics. */
+int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation);
 void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation);
 void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least, real most);
 

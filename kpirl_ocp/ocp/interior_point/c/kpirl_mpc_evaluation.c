@@ -6,11 +6,6 @@
 
 #include <string.h>
 
-static void call(kpirl_mpc_core *core, const kpirl_mpc_function *function, const real *const *arguments,
-                 real *const *results) {
-  if (function->evaluate(function->self, arguments, results)) core->failed = 1;
-}
-
 /* Where a result goes: straight into the dense array, or into nonzeros that are scattered afterwards. */
 static real *destination(const kpirl_mpc_pattern *pattern, real *dense, real **nonzeros) {
   real *place = *nonzeros;
@@ -25,78 +20,77 @@ static void scatter(const kpirl_mpc_pattern *pattern, const real *from, real *de
   for (i = 0; i < pattern->count; ++i) dense[pattern->entries[i]] = from[i];
 }
 
-static void call_stage(kpirl_mpc_core *core, int level, int t, const real *x, const real *costates, const real *z,
-                       const real *nu, real *value, real *successor, real *path, real *equality) {
+/* Stage t, or the end for t = T. The second derivatives go into core->d. */
+static void call_stage(kpirl_mpc_core *core, int level, int t, const kpirl_mpc_stage_arguments *at,
+                       const kpirl_mpc_stage_results *first) {
   const int n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), n_h = DIM(core, n_path), n_e = DIM(core, n_equality);
   const kpirl_mpc_model *model = &core->model;
+  const int last = t == DIM(core, horizon);
+  const kpirl_mpc_stage_function *function = last ? &model->last[level] : &model->stage[level];
+  const kpirl_mpc_pattern *of_G = last ? &model->G_last : &model->G, *of_E = last ? &model->E_last : &model->E;
+  const kpirl_mpc_pattern *of_H = last ? &model->H_last : &model->H;
   kpirl_mpc_derivatives *d = &core->d;
-  real *nonzeros = core->nonzeros;
   real *F = d->F + t * n_s * n_x, *G = d->G + t * n_x * n_h, *E = d->E + t * n_x * n_e, *H = d->H + t * n_x * n_x;
-  const real *arguments[7];
-  real *results[10];
-  arguments[0] = x + t * n_x;
-  arguments[1] = core->numbers.psi;
-  arguments[2] = core->numbers.context;
-  arguments[3] = core->numbers.schedule + t * DIM(core, n_schedule);
-  results[0] = value;
-  results[1] = successor;
-  results[2] = path + t * n_h;
-  results[3] = equality + t * n_e;
-  if (level > KPIRL_MPC_VALUES) {
-    arguments[4] = costates + t * n_s;
-    arguments[5] = z + t * n_h;
-    arguments[6] = nu + t * n_e;
-    results[4] = d->cost_gradient + t * n_x;
-    results[5] = d->gradient + t * n_x;
-  }
+  real *nonzeros = core->nonzeros;
+  kpirl_mpc_stage_results to = *first;
   if (level == KPIRL_MPC_SECOND) {
-    results[6] = destination(&model->F, F, &nonzeros);
-    results[7] = destination(&model->G, G, &nonzeros);
-    results[8] = destination(&model->E, E, &nonzeros);
-    results[9] = destination(&model->H, H, &nonzeros);
+    if (!last) to.F = destination(&model->F, F, &nonzeros);
+    to.G = destination(of_G, G, &nonzeros);
+    to.E = destination(of_E, E, &nonzeros);
+    to.H = destination(of_H, H, &nonzeros);
   }
-  call(core, &model->stage[level], arguments, results);
+  if (function->evaluate(function->self, at, &to)) core->failed = 1;
   if (level == KPIRL_MPC_SECOND) {
-    scatter(&model->F, results[6], F);
-    scatter(&model->G, results[7], G);
-    scatter(&model->E, results[8], E);
-    scatter(&model->H, results[9], H);
+    if (!last) scatter(&model->F, to.F, F);
+    scatter(of_G, to.G, G);
+    scatter(of_E, to.E, E);
+    scatter(of_H, to.H, H);
   }
 }
 
-static void call_last(kpirl_mpc_core *core, int level, const real *x, const real *z, const real *nu, real *value, real *path,
-                      real *equality) {
-  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
-  const int n_h = DIM(core, n_path), n_e = DIM(core, n_equality);
-  const kpirl_mpc_model *model = &core->model;
+/* The point x of stage t, or of the end. */
+static void stand_at_stage(const kpirl_mpc_core *core, int t, const real *x, kpirl_mpc_stage_arguments *at) {
+  memset(at, 0, sizeof *at);
+  at->x = x + t * (DIM(core, n_states) + DIM(core, n_actions));
+  at->psi = core->numbers.psi;
+  at->context = core->numbers.context;
+  at->schedule = core->numbers.schedule + t * DIM(core, n_schedule);
+}
+
+/* Values of stage t, or of the end, into arrays of all stages; the cost is added to `objective`. */
+static void stage_values(kpirl_mpc_core *core, int t, const real *x, real *objective, real *successor, real *path,
+                         real *equality) {
+  kpirl_mpc_stage_arguments at;
+  kpirl_mpc_stage_results to = {0};
+  real cost = 0;
+  stand_at_stage(core, t, x, &at);
+  to.cost = &cost;
+  to.successor = successor;
+  to.path = path + t * DIM(core, n_path);
+  to.equality = equality + t * DIM(core, n_equality);
+  call_stage(core, KPIRL_MPC_VALUES, t, &at, &to);
+  *objective += cost;
+}
+
+/* Everything about stage t, or the end, of core->at, into core->d. */
+static void differentiate_stage(kpirl_mpc_core *core, int level, int t) {
+  const int n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), last = t == DIM(core, horizon);
   kpirl_mpc_derivatives *d = &core->d;
-  real *nonzeros = core->nonzeros, *G = d->G + T * n_x * n_h, *E = d->E + T * n_x * n_e, *H = d->H + T * n_x * n_x;
-  const real *arguments[6];
-  real *results[8];
-  arguments[0] = x + T * n_x;
-  arguments[1] = core->numbers.psi;
-  arguments[2] = core->numbers.context;
-  arguments[3] = core->numbers.schedule + T * DIM(core, n_schedule);
-  results[0] = value;
-  results[1] = path + T * n_h;
-  results[2] = equality + T * n_e;
-  if (level > KPIRL_MPC_VALUES) {
-    arguments[4] = z + T * n_h;
-    arguments[5] = nu + T * n_e;
-    results[3] = d->cost_gradient + T * n_x;
-    results[4] = d->gradient + T * n_x;
-  }
-  if (level == KPIRL_MPC_SECOND) {
-    results[5] = destination(&model->G_last, G, &nonzeros);
-    results[6] = destination(&model->E_last, E, &nonzeros);
-    results[7] = destination(&model->H_last, H, &nonzeros);
-  }
-  call(core, &model->last[level], arguments, results);
-  if (level == KPIRL_MPC_SECOND) {
-    scatter(&model->G_last, results[5], G);
-    scatter(&model->E_last, results[6], E);
-    scatter(&model->H_last, results[7], H);
-  }
+  kpirl_mpc_stage_arguments at;
+  kpirl_mpc_stage_results to = {0};
+  real cost = 0;
+  stand_at_stage(core, t, core->at.x, &at);
+  at.costates = core->at.costates + t * n_s;
+  at.z = core->at.z + core->n_lower + core->n_upper + t * DIM(core, n_path);
+  at.nu = core->at.nu + core->n_fixed + t * DIM(core, n_equality);
+  to.cost = &cost;
+  to.successor = last ? NULL : d->defects + t * n_s;
+  to.path = d->path + t * DIM(core, n_path);
+  to.equality = d->equality + t * DIM(core, n_equality);
+  to.cost_gradient = d->cost_gradient + t * n_x;
+  to.gradient = d->gradient + t * n_x;
+  call_stage(core, level, t, &at, &to);
+  d->objective += cost;
 }
 
 /* x as states and actions, as functions of the whole horizon take them. */
@@ -110,42 +104,42 @@ static void gather(kpirl_mpc_core *core, const real *x) {
   memcpy(core->states + T * n_s, x + T * n_x, (size_t)n_s * sizeof(real));
 }
 
-static void call_horizon(kpirl_mpc_core *core, int level, const real *x, real *value, real *successors, real *path,
+static void call_horizon(kpirl_mpc_core *core, int level, const real *x, real *cost, real *successor, real *path,
                          real *equality) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
   const int n_h = DIM(core, n_path), n_e = DIM(core, n_equality);
+  const kpirl_mpc_horizon_function *function = &core->model.horizon[level];
   kpirl_mpc_derivatives *d = &core->d;
-  const real *z = core->at.z + core->n_lower + core->n_upper, *nu = core->at.nu + core->n_fixed;
-  const real *arguments[9];
-  real *results[17];
+  kpirl_mpc_horizon_arguments at;
+  kpirl_mpc_horizon_results to;
   gather(core, x);
-  arguments[0] = core->states;
-  arguments[1] = core->actions;
-  arguments[2] = core->numbers.psi;
-  arguments[3] = core->numbers.context;
-  arguments[4] = core->at.costates;
-  arguments[5] = z;
-  arguments[6] = nu;
-  arguments[7] = z + T * n_h;
-  arguments[8] = nu + T * n_e;
-  results[0] = value;
-  results[1] = successors;
-  results[2] = path;
-  results[3] = equality;
-  results[4] = path + T * n_h;
-  results[5] = equality + T * n_e;
-  results[6] = d->cost_gradient;
-  results[7] = d->cost_gradient + T * n_x;
-  results[8] = d->gradient;
-  results[9] = d->gradient + T * n_x;
-  results[10] = d->F;
-  results[11] = d->G;
-  results[12] = d->E;
-  results[13] = d->H;
-  results[14] = d->G + T * n_x * n_h;
-  results[15] = d->E + T * n_x * n_e;
-  results[16] = d->H + T * n_x * n_x;
-  call(core, &core->model.horizon[level], arguments, results);
+  at.states = core->states;
+  at.actions = core->actions;
+  at.psi = core->numbers.psi;
+  at.context = core->numbers.context;
+  at.costates = core->at.costates;
+  at.z = core->at.z + core->n_lower + core->n_upper;
+  at.nu = core->at.nu + core->n_fixed;
+  at.z_last = at.z + T * n_h;
+  at.nu_last = at.nu + T * n_e;
+  to.cost = cost;
+  to.successor = successor;
+  to.path = path;
+  to.equality = equality;
+  to.path_last = path + T * n_h;
+  to.equality_last = equality + T * n_e;
+  to.cost_gradient = d->cost_gradient;
+  to.cost_gradient_last = d->cost_gradient + T * n_x;
+  to.gradient = d->gradient;
+  to.gradient_last = d->gradient + T * n_x;
+  to.F = d->F;
+  to.G = d->G;
+  to.E = d->E;
+  to.H = d->H;
+  to.G_last = d->G + T * n_x * n_h;
+  to.E_last = d->E + T * n_x * n_e;
+  to.H_last = d->H + T * n_x * n_x;
+  if (function->evaluate(function->self, &at, &to)) core->failed = 1;
 }
 
 /* successors - s_next, in the place of the successors. */
@@ -159,19 +153,12 @@ static void subtract_states(const kpirl_mpc_core *core, const real *x, real *suc
 void kpirl_mpc_evaluate_values(kpirl_mpc_core *core, const real *x, real *objective, real *defects, real *path,
                                real *equality) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states);
-  if (core->model.by_stage) {
-    real value = 0;
-    int t;
-    *objective = 0;
-    for (t = 0; t < T; ++t) {
-      call_stage(core, KPIRL_MPC_VALUES, t, x, NULL, NULL, NULL, &value, defects + t * n_s, path, equality);
-      *objective += value;
-    }
-    call_last(core, KPIRL_MPC_VALUES, x, NULL, NULL, &value, path, equality);
-    *objective += value;
-  } else {
+  int t;
+  *objective = 0;
+  if (core->model.by_stage)
+    for (t = 0; t <= T; ++t) stage_values(core, t, x, objective, t < T ? defects + t * n_s : NULL, path, equality);
+  else
     call_horizon(core, KPIRL_MPC_VALUES, x, objective, defects, path, equality);
-  }
   subtract_states(core, x, defects);
 }
 
@@ -184,42 +171,26 @@ static void subtract_costates(const kpirl_mpc_core *core, real *gradient) {
 }
 
 void kpirl_mpc_evaluate(kpirl_mpc_core *core, int level) {
-  const int T = DIM(core, horizon), n_s = DIM(core, n_states);
-  const kpirl_mpc_iterate *at = &core->at;
+  const int T = DIM(core, horizon);
   kpirl_mpc_derivatives *d = &core->d;
-  if (core->model.by_stage) {
-    const real *z = at->z + core->n_lower + core->n_upper, *nu = at->nu + core->n_fixed;
-    real value = 0;
-    int t;
-    d->objective = 0;
-    for (t = 0; t < T; ++t) {
-      call_stage(core, level, t, at->x, at->costates, z, nu, &value, d->defects + t * n_s, d->path, d->equality);
-      d->objective += value;
-    }
-    call_last(core, level, at->x, z, nu, &value, d->path, d->equality);
-    d->objective += value;
-  } else {
-    call_horizon(core, level, at->x, &d->objective, d->defects, d->path, d->equality);
-  }
-  subtract_states(core, at->x, d->defects);
+  int t;
+  d->objective = 0;
+  if (core->model.by_stage)
+    for (t = 0; t <= T; ++t) differentiate_stage(core, level, t);
+  else
+    call_horizon(core, level, core->at.x, &d->objective, d->defects, d->path, d->equality);
+  subtract_states(core, core->at.x, d->defects);
   subtract_costates(core, d->gradient);
 }
 
 static void step_dynamics(kpirl_mpc_core *core, int t, const real *x, real *successor) {
-  const int n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
-  const real *arguments[4];
-  real *results[4] = {NULL, NULL, NULL, NULL};
-  arguments[0] = x + t * n_x;
-  arguments[1] = core->numbers.psi;
-  arguments[2] = core->numbers.context;
-  arguments[3] = core->numbers.schedule + t * DIM(core, n_schedule);
-  if (core->model.by_stage) {
-    results[1] = successor;
-    call(core, &core->model.stage[KPIRL_MPC_VALUES], arguments, results);
-  } else {
-    results[0] = successor;
-    call(core, &core->model.dynamics, arguments, results);
-  }
+  const kpirl_mpc_model *model = &core->model;
+  const kpirl_mpc_stage_function *function = model->by_stage ? &model->stage[KPIRL_MPC_VALUES] : &model->dynamics;
+  kpirl_mpc_stage_arguments at;
+  kpirl_mpc_stage_results to = {0};
+  stand_at_stage(core, t, x, &at);
+  to.successor = successor;
+  if (function->evaluate(function->self, &at, &to)) core->failed = 1;
 }
 
 void kpirl_mpc_roll_out(kpirl_mpc_core *core, real *x) {
@@ -234,7 +205,7 @@ void kpirl_mpc_follow(kpirl_mpc_core *core, real length, real *objective, real *
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_x = n_s + n_u;
   const kpirl_mpc_factors *factors = &core->factors;
   const real *x = core->at.x, *dx = core->step.change.x;
-  real *to = core->trial.x, *off = core->start, value = 0;
+  real *to = core->trial.x, *off = core->start;
   int t, i;
   *objective = 0;
   for (i = 0; i < n_s; ++i) to[i] = x[i] + length * dx[i];
@@ -248,18 +219,14 @@ void kpirl_mpc_follow(kpirl_mpc_core *core, real length, real *objective, real *
                      core->K + n_u * n_s, core->K);
       kpirl_mpc_times_vector(core->K, n_u, n_s, off, here + n_s);
     }
-    if (core->model.by_stage) {
-      call_stage(core, KPIRL_MPC_VALUES, t, to, NULL, NULL, NULL, &value, next, path, equality);
-      *objective += value;
-    } else {
+    if (core->model.by_stage)
+      stage_values(core, t, to, objective, next, path, equality);
+    else
       step_dynamics(core, t, to, next);
-    }
     for (i = 0; i < n_s; ++i) next[i] -= (1 - length) * core->d.defects[t * n_s + i];
   }
-  if (core->model.by_stage) {
-    call_last(core, KPIRL_MPC_VALUES, to, NULL, NULL, &value, path, equality);
-    *objective += value;
-  } else {
+  if (core->model.by_stage)
+    stage_values(core, T, to, objective, NULL, path, equality);
+  else
     call_horizon(core, KPIRL_MPC_VALUES, to, objective, core->trial.costates, path, equality);
-  }
 }

@@ -26,10 +26,12 @@ static real final_tau(const kpirl_mpc_core *core) {
   return core->options.barrier > 0 ? (real)core->options.barrier : close_enough(core) / 2;
 }
 
-static double worst(const kpirl_mpc_residuals *r) {
-  const double duals = r->stationarity > r->complementarity ? r->stationarity : r->complementarity;
-  if (isnan(r->stationarity) || isnan(r->complementarity) || isnan(r->feasibility)) return (double)NAN;
-  return duals / r->scale > r->feasibility ? duals / r->scale : r->feasibility;
+static real worst(const kpirl_mpc_residuals *r) {
+  real parts[3];
+  parts[0] = r->stationarity / r->scale;
+  parts[1] = r->complementarity / r->scale;
+  parts[2] = r->feasibility;
+  return kpirl_mpc_largest(parts, 3);
 }
 
 /* Do the conditions hold, and complementarity as if multipliers were at most LARGE? Relative to larger multipliers alone,
@@ -230,7 +232,7 @@ static real warm_barrier(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   kpirl_mpc_warm_start(core, start, final);
   kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
   kpirl_mpc_find_residuals(core, 0, &residuals);
-  error = (real)worst(&residuals);
+  error = worst(&residuals);
   return isfinite(error) ? kpirl_mpc_smaller(kpirl_mpc_larger(error, final), WARM) : WARM;
 }
 

@@ -6,7 +6,7 @@
 #include "kpirl_mpc_kernels.h"
 
 #if defined(__GNUC__) && defined(__AVX512F__)
-#define VECTOR_BYTES 64
+#define VECTOR_BYTES (8 * sizeof(real))
 #define TILE_VECTORS 4
 #elif defined(__GNUC__) && (defined(__AVX__) || defined(__SSE2__) || defined(__ARM_NEON))
 #define VECTOR_BYTES 32
@@ -14,7 +14,7 @@
 #endif
 
 #ifdef VECTOR_BYTES
-enum { LANES = VECTOR_BYTES / (int)sizeof(real) };
+enum { LANES = (int)(VECTOR_BYTES / sizeof(real)) }; /* at most 8: see few_rows */
 typedef real vector __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)), may_alias));
 #define INLINE static inline __attribute__((always_inline))
 #define UNROLL _Pragma("GCC unroll 8")

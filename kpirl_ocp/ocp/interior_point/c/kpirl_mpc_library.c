@@ -3,21 +3,27 @@
 
 #include <string.h>
 
-int kpirl_mpc_evaluate_buffered(void *self, const real *const *arguments, real *const *results) {
+int kpirl_mpc_evaluate_buffered(void *self, const void *arguments, const void *results) {
   const kpirl_mpc_buffered *function = (const kpirl_mpc_buffered *)self;
+  const real *const *from = (const real *const *)arguments;
+  real *const *to = (real *const *)results;
   int i;
   for (i = 0; i < function->n_in; ++i)
-    if (function->size_in[i]) memcpy(function->in[i], arguments[i], (size_t)function->size_in[i] * sizeof(real));
+    if (function->size_in[i])
+      memcpy(function->arguments[i], from[function->in[i]], (size_t)function->size_in[i] * sizeof(real));
   function->evaluate(function->buffer);
   for (i = 0; i < function->n_out; ++i)
-    if (results[i] && function->size_out[i])
-      memcpy(results[i], function->out[i], (size_t)function->size_out[i] * sizeof(real));
+    if (to[function->out[i]] && function->size_out[i])
+      memcpy(to[function->out[i]], function->results[i], (size_t)function->size_out[i] * sizeof(real));
   return function->status(function->buffer);
 }
 
-int kpirl_mpc_evaluate_compiled(void *self, const real *const *arguments, real *const *results) {
+int kpirl_mpc_evaluate_compiled(void *self, const void *arguments, const void *results) {
   const kpirl_mpc_compiled *function = (const kpirl_mpc_compiled *)self;
-  memcpy(function->arguments, arguments, (size_t)function->n_in * sizeof *arguments);
-  memcpy(function->results, results, (size_t)function->n_out * sizeof *results);
+  const real *const *from = (const real *const *)arguments;
+  real *const *to = (real *const *)results;
+  int i;
+  for (i = 0; i < function->n_in; ++i) function->arguments[i] = from[function->in[i]];
+  for (i = 0; i < function->n_out; ++i) function->results[i] = to[function->out[i]];
   return function->evaluate(function->arguments, function->results, function->integers, function->reals, 0);
 }

@@ -7,28 +7,32 @@
 
 #include "kpirl_mpc_core.h"
 
+/* Functions are called with structures of pointers, see kpirl_mpc_model.h. What is evaluated takes arrays of pointers, in an
+ * order of its own: `in` and `out` say which pointer of the structure belongs to every argument and result. */
+
 /* An expression that CasADi's virtual machine evaluates on fixed arrays: `evaluate(buffer)`, then `status(buffer)`. */
 typedef struct kpirl_mpc_buffered {
   void (*evaluate)(void *buffer);
   int (*status)(void *buffer);
   void *buffer;
   int n_in, n_out;
-  const int *size_in, *size_out;
-  real *const *in, *const *out;
+  const int *in, *out, *size_in, *size_out;
+  real *const *arguments, *const *results;
 } kpirl_mpc_buffered;
 
-int kpirl_mpc_evaluate_buffered(void *self, const real *const *arguments, real *const *results);
+int kpirl_mpc_evaluate_buffered(void *self, const void *arguments, const void *results);
 
 /* Machine code with CasADi's calling convention, and the memory that it works in. */
 typedef struct kpirl_mpc_compiled {
   int (*evaluate)(const real **arguments, real **results, long long *integers, real *reals, int memory);
   int n_in, n_out;
+  const int *in, *out;
   const real **arguments;
   real **results;
   long long *integers;
   real *reals;
 } kpirl_mpc_compiled;
 
-int kpirl_mpc_evaluate_compiled(void *self, const real *const *arguments, real *const *results);
+int kpirl_mpc_evaluate_compiled(void *self, const void *arguments, const void *results);
 
 #endif

@@ -10,7 +10,7 @@ enum { ALIGNMENT = 64 };
 
 typedef struct cursor {
   char *base; /* NULL: count only */
-  size_t used;
+  size_t used, reals, integers, arrays;
 } cursor;
 
 static void *take(cursor *at, size_t bytes) {
@@ -19,9 +19,19 @@ static void *take(cursor *at, size_t bytes) {
   return place;
 }
 
-static real *take_reals(cursor *at, int count) { return (real *)take(at, (size_t)(count > 0 ? count : 1) * sizeof(real)); }
+static size_t at_least_one(int count) { return count > 0 ? (size_t)count : 1; }
 
-static int *take_integers(cursor *at, int count) { return (int *)take(at, (size_t)(count > 0 ? count : 1) * sizeof(int)); }
+static real *take_reals(cursor *at, int count) {
+  at->reals += at_least_one(count);
+  ++at->arrays;
+  return (real *)take(at, at_least_one(count) * sizeof(real));
+}
+
+static int *take_integers(cursor *at, int count) {
+  at->integers += at_least_one(count);
+  ++at->arrays;
+  return (int *)take(at, at_least_one(count) * sizeof(int));
+}
 
 static int most(int a, int b) { return a > b ? a : b; }
 
@@ -132,18 +142,32 @@ static void describe(kpirl_mpc_core *core, const kpirl_mpc_dimensions *dimension
   sort(core);
 }
 
-size_t kpirl_mpc_core_size(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_bounds *bounds,
-                           const kpirl_mpc_model *model) {
+static cursor measure(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_bounds *bounds, const kpirl_mpc_model *model) {
   kpirl_mpc_core core;
-  cursor at = {NULL, 0};
+  cursor at = {NULL, 0, 0, 0, 0};
   describe(&core, dimensions, bounds, model);
   lay_out(&at, &core);
-  return at.used + (sizeof core + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT + ALIGNMENT;
+  return at;
+}
+
+void kpirl_mpc_count_core(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_bounds *bounds,
+                          const kpirl_mpc_model *model, kpirl_mpc_core_count *count) {
+  const cursor at = measure(dimensions, bounds, model);
+  count->head = sizeof(kpirl_mpc_core);
+  count->reals = at.reals;
+  count->integers = at.integers;
+  count->arrays = at.arrays;
+}
+
+size_t kpirl_mpc_core_size(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_bounds *bounds,
+                           const kpirl_mpc_model *model) {
+  const size_t head = (sizeof(kpirl_mpc_core) + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
+  return measure(dimensions, bounds, model).used + head + ALIGNMENT;
 }
 
 kpirl_mpc_core *kpirl_mpc_core_init(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_bounds *bounds,
                                     const kpirl_mpc_model *model, void *memory) {
-  cursor at = {(char *)memory, (ALIGNMENT - (size_t)memory % ALIGNMENT) % ALIGNMENT};
+  cursor at = {(char *)memory, (ALIGNMENT - (size_t)memory % ALIGNMENT) % ALIGNMENT, 0, 0, 0};
   kpirl_mpc_core *core = (kpirl_mpc_core *)take(&at, sizeof *core);
   const size_t size = kpirl_mpc_core_size(dimensions, bounds, model);
   memset(memory, 0, size);

@@ -11,6 +11,7 @@
 #ifndef KPIRL_MPC_MODEL_H
 #define KPIRL_MPC_MODEL_H
 
+#include "kpirl_mpc_dimensions.h" /* DIM(core, name): a number of kpirl_mpc_dimensions */
 #include "kpirl_mpc_real.h"
 
 typedef struct kpirl_mpc_dimensions {
@@ -20,42 +21,58 @@ typedef struct kpirl_mpc_dimensions {
   int n_parameters, n_context, n_schedule; /* lengths of psi, c and d_t */
 } kpirl_mpc_dimensions;
 
-/* In an exported controller dimensions are constants. */
-#ifdef KPIRL_MPC_FIXED
-#include "kpirl_mpc_config.h"
-#define DIM(core, name) KPIRL_MPC_FIXED_##name
-#else
-#define DIM(core, name) ((core)->dimensions.name)
-#endif
-
-/* Returns 0 when all went well. Results that are NULL are not wanted. */
-typedef struct kpirl_mpc_function {
-  int (*evaluate)(void *self, const real *const *arguments, real *const *results);
-  void *self;
-} kpirl_mpc_function;
-
 /* Where the nonzeros of a result belong in a dense array; entries NULL: the result is dense. */
 typedef struct kpirl_mpc_pattern {
   int count;
   const int *entries;
 } kpirl_mpc_pattern;
 
+/* A stage t < T, x = (s, u), with z and nu the multipliers of h and e; or the end, x = s_T, of h_T and e_T, where there are no
+ * costates, no successor and no F. */
+typedef struct kpirl_mpc_stage_arguments {
+  const real *x, *psi, *context, *schedule;
+  const real *costates, *z, *nu; /* for derivatives */
+} kpirl_mpc_stage_arguments;
+
+typedef struct kpirl_mpc_stage_results {
+  real *cost, *successor, *path, *equality; /* l, f, h and e */
+  real *cost_gradient, *gradient;           /* of l and of L = l + costates . f + z . h + nu . e, by x */
+  real *F, *G, *E, *H;                      /* Jacobian of f, transposed ones of h and e; second derivative of L, its lower
+                                               triangle */
+} kpirl_mpc_stage_results;
+
+/* All stages side by side. */
+typedef struct kpirl_mpc_horizon_arguments {
+  const real *states, *actions, *psi, *context;
+  const real *costates, *z, *nu, *z_last, *nu_last;
+} kpirl_mpc_horizon_arguments;
+
+typedef struct kpirl_mpc_horizon_results {
+  real *cost, *successor, *path, *equality, *path_last, *equality_last;
+  real *cost_gradient, *cost_gradient_last, *gradient, *gradient_last;
+  real *F, *G, *E, *H, *G_last, *E_last, *H_last; /* dense */
+} kpirl_mpc_horizon_results;
+
+/* Functions return 0 when all went well. Each gives the results of its level and of those before; results that are NULL are
+ * not wanted. */
+typedef struct kpirl_mpc_stage_function {
+  int (*evaluate)(void *self, const kpirl_mpc_stage_arguments *arguments, const kpirl_mpc_stage_results *results);
+  void *self;
+} kpirl_mpc_stage_function;
+
+typedef struct kpirl_mpc_horizon_function {
+  int (*evaluate)(void *self, const kpirl_mpc_horizon_arguments *arguments, const kpirl_mpc_horizon_results *results);
+  void *self;
+} kpirl_mpc_horizon_function;
+
 enum { KPIRL_MPC_VALUES, KPIRL_MPC_FIRST, KPIRL_MPC_SECOND, KPIRL_MPC_LEVELS };
 
-/* With z and nu the multipliers of h and e, and r the gradient of l + lambda . f + z . h + nu . e by x (of l_T + z . h_T +
- * nu . e_T by s_T):
- *
- * stage   (x, psi, c, d, lambda, z, nu)     -> l, f, h, e | gradient of l, r | F, G', E', lower triangle of H
- * last    (s, psi, c, d, z, nu)             -> l, h, e    | gradient of l, r | G', E', lower triangle of H
- * horizon (S, U, psi, c, Lambda, Z, N, z_T, nu_T), all stages side by side
- *         -> J, f, h, e, h_T, e_T | gradient of J by x_t, by s_T, r, r_T | F, G', E', H, G_T', E_T', H_T, dense
- * dynamics (x, psi, c, d)                   -> f, for rollouts where there is `horizon`
- *
- * "|" separates the results of values, first and second derivatives: each function has those of its level and before.
- * Either stage and last are given, or horizon and dynamics. */
+/* Either stage and last, with the patterns of their matrices; or horizon, and dynamics (successor alone) for rollouts. */
 typedef struct kpirl_mpc_model {
   int by_stage;
-  kpirl_mpc_function stage[KPIRL_MPC_LEVELS], last[KPIRL_MPC_LEVELS], horizon[KPIRL_MPC_LEVELS], dynamics;
+  kpirl_mpc_stage_function stage[KPIRL_MPC_LEVELS], last[KPIRL_MPC_LEVELS];
+  kpirl_mpc_horizon_function horizon[KPIRL_MPC_LEVELS];
+  kpirl_mpc_stage_function dynamics;
   kpirl_mpc_pattern F, G, E, H, G_last, E_last, H_last;
 } kpirl_mpc_model;
 

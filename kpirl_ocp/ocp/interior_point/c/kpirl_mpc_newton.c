@@ -56,8 +56,7 @@ static int all_positive(const real *pivots, int count) {
   return 1;
 }
 
-/* The factors of the condensed Hessian; returns whether it is positive along the dynamics. */
-static int factorise(kpirl_mpc_core *core, real regularisation) {
+int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_x = n_s + n_u;
   const int m = kpirl_mpc_n_inequalities(core), n_free = core->bounds.n_free;
   kpirl_mpc_factors *factors = &core->factors;
@@ -141,7 +140,7 @@ void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation) {
   const int m = kpirl_mpc_n_inequalities(core);
   int i;
   core->step.tau = core->tau;
-  core->step.positive = factorise(core, regularisation);
+  core->step.positive = kpirl_mpc_factorise(core, regularisation);
   if (!core->step.positive) return;
   for (i = 0; i < m; ++i) core->target[i] = core->tau;
   solve(core, &core->step.change);
@@ -165,7 +164,7 @@ void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least, real most) {
   kpirl_mpc_iterate *first = &core->first.change;
   int i;
   core->step.tau = least;
-  core->step.positive = factorise(core, 0);
+  core->step.positive = kpirl_mpc_factorise(core, 0);
   if (!core->step.positive) return;
   for (i = 0; i < m; ++i) core->target[i] = least;
   if (m > 0) {
