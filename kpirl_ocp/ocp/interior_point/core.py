@@ -13,7 +13,7 @@ import numpy as np
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.interior_point import library as c
-from kpirl_ocp.ocp.interior_point.evaluator import Compiled, VirtualMachine
+from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachine
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
@@ -111,7 +111,7 @@ class Core:
         """The functions, as machine code where there is some."""
         if self.problem.derivatives is not None:
             functions, model = horizon_functions(self.problem), c.Model(by_stage=0)
-            model.horizon[:] = [self._pointer(function) for function in functions.horizon]
+            model.horizon[:] = [self._pointer(function, c.HORIZON) for function in functions.horizon]
             model.dynamics = self._pointer(functions.dynamics)
             return model
         stages, model = stage_functions(self.problem), c.Model(by_stage=1, **self._patterns)
@@ -119,8 +119,11 @@ class Core:
         model.last[:] = [self._pointer(function) for function in stages.last]
         return model
 
-    def _pointer(self, function: ca.Function) -> Any:
-        evaluator = VirtualMachine(function) if self._code is None else Compiled(function, self._code[function.name()])
+    def _pointer(self, function: ca.Function, names: Names = c.STAGE) -> Any:
+        if self._code is None:
+            evaluator: VirtualMachine | Compiled = VirtualMachine(function, names)
+        else:
+            evaluator = Compiled(function, names, self._code[function.name()])
         self._kept.append(evaluator)
         return evaluator.pointer
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from kpirl_ocp.ocp.interior_point.library import Buffered, CompiledFunction, Function, library
 from kpirl_ocp.types import Array
@@ -17,11 +18,16 @@ from kpirl_ocp.types import Array
 _EVALUATE, _STATUS = "_ZN6casadi14FunctionBuffer5_evalEv", "_ZN6casadi14FunctionBuffer3retEv"
 
 
+Names = tuple[tuple[str, ...], tuple[str, ...]]
+"""Of the arguments and results that the core calls a function with: `library.STAGE` or `library.HORIZON`."""
+
+
 class VirtualMachine:
     """A function evaluated by CasADi's virtual machine, with memory for one evaluation."""
 
-    def __init__(self, function: ca.Function) -> None:
+    def __init__(self, function: ca.Function, names: Names) -> None:
         self._buffer, _ = function.buffer()
+        self._places = _places(function, names)
         n_in, n_out = function.n_in(), function.n_out()
         sizes = [function.nnz_in(i) for i in range(n_in)], [function.nnz_out(i) for i in range(n_out)]
         self._arrays = [[np.zeros(max(size, 1)) for size in side] for side in sizes]
@@ -30,7 +36,7 @@ class VirtualMachine:
                 tell(i, array.data)
         self._sizes = [np.array(side, np.intc) for side in sizes]
         self._pointers = [np.array([array.ctypes.data for array in side], np.uintp) for side in self._arrays]
-        addresses = [array.ctypes.data for side in (self._sizes, self._pointers) for array in side]
+        addresses = [array.ctypes.data for side in (self._places, self._sizes, self._pointers) for array in side]
         self._structure = Buffered(*_members(), _address_of(self._buffer), n_in, n_out, *addresses)
 
     @property
@@ -42,8 +48,9 @@ class VirtualMachine:
 class Compiled:
     """A function of a shared library that CasADi's code generator wrote, with memory for one evaluation."""
 
-    def __init__(self, function: ca.Function, code: int) -> None:
+    def __init__(self, function: ca.Function, names: Names, code: int) -> None:
         """code: address of the function in the library."""
+        self._places = _places(function, names)
         self._memory: list[Array] = [
             np.zeros(max(size, 1), kind)
             for size, kind in (
@@ -53,13 +60,19 @@ class Compiled:
                 (function.sz_w(), np.float64),
             )
         ]
-        addresses = [array.ctypes.data for array in self._memory]
+        addresses = [array.ctypes.data for array in (*self._places, *self._memory)]
         self._structure = CompiledFunction(code, function.n_in(), function.n_out(), *addresses)
 
     @property
     def pointer(self) -> Any:
         """The function for the core."""
         return Function(_symbol("kpirl_mpc_evaluate_compiled"), ctypes.addressof(self._structure))
+
+
+def _places(function: ca.Function, names: Names) -> list[NDArray[np.intc]]:
+    """Where every argument and every result stands among the pointers that the function is called with."""
+    sides = zip(names, (function.name_in(), function.name_out()), strict=True)
+    return [np.array([known.index(name) for name in own], np.intc) for known, own in sides]
 
 
 def _symbol(name: str) -> int:

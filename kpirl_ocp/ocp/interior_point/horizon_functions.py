@@ -20,6 +20,14 @@ from kpirl_ocp.ocp.interior_point.stage_functions import constraint_functions, l
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.trajectory_cost import TrajectoryCost, stage_costs
 
+# Names of the pointers in `c/kpirl_mpc_model.h`.
+_INPUTS = ("states", "actions", "psi", "context", "costates", "z", "nu", "z_last", "nu_last")
+_OUTPUTS = (
+    *("cost", "successor", "path", "equality", "path_last", "equality_last"),
+    *("cost_gradient", "cost_gradient_last", "gradient", "gradient_last"),
+    *("F", "G", "E", "H", "G_last", "E_last", "H_last"),
+)
+
 
 @dataclass(frozen=True, eq=False)
 class HorizonFunctions:
@@ -35,7 +43,8 @@ def horizon_functions(problem: OCP) -> HorizonFunctions:
     x, psi = ca.MX.sym("x", problem.n_states + problem.n_actions), ca.MX.sym("psi", problem.n_parameters)
     others = [ca.MX.sym(name, problem.stage_cost.size1_in(i)) for i, name in ((3, "c"), (4, "d"))]
     successor = problem.transition(x[: problem.n_states], x[problem.n_states :], psi)
-    dynamics = ca.Function("dynamics", [x, psi, *others], [successor])
+    names = ["x", "psi", "context", "schedule"]
+    dynamics = ca.Function("dynamics", [x, psi, *others], [successor], names, ["successor"])
     return HorizonFunctions((_values(problem), _first(problem), _second(problem)), dynamics)
 
 
@@ -48,7 +57,8 @@ def _symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX]]:
 
 
 def _function(name: str, inputs: list[ca.MX], outputs: list[ca.MX]) -> ca.Function:
-    return ca.Function(name, inputs, [ca.densify(output) for output in outputs])
+    dense = [ca.densify(output) for output in outputs]
+    return ca.Function(name, inputs, dense, [*_INPUTS[: len(inputs)]], [*_OUTPUTS[: len(outputs)]])
 
 
 def _values(problem: OCP) -> ca.Function:

@@ -31,6 +31,19 @@ _DIMENSIONS = (
 Dimensions = _structure("Dimensions", **dict.fromkeys(_DIMENSIONS, INT))
 Function = _structure("Function", evaluate=POINTER, self=POINTER)
 Pattern = _structure("Pattern", count=INT, entries=POINTER)
+# Names of the pointers that functions are called with: arguments, then results.
+STAGE = (
+    ("x", "psi", "context", "schedule", "costates", "z", "nu"),
+    ("cost", "successor", "path", "equality", "cost_gradient", "gradient", "F", "G", "E", "H"),
+)
+HORIZON = (
+    ("states", "actions", "psi", "context", "costates", "z", "nu", "z_last", "nu_last"),
+    (
+        *("cost", "successor", "path", "equality", "path_last", "equality_last"),
+        *("cost_gradient", "cost_gradient_last", "gradient", "gradient_last"),
+        *("F", "G", "E", "H", "G_last", "E_last", "H_last"),
+    ),
+)
 Model = _structure(
     "Model",
     by_stage=INT,
@@ -86,16 +99,20 @@ Buffered = _structure(
     buffer=POINTER,
     n_in=INT,
     n_out=INT,
+    places_in=POINTER,
+    places_out=POINTER,
     size_in=POINTER,
     size_out=POINTER,
-    inputs=POINTER,
-    outputs=POINTER,
+    arguments=POINTER,
+    results=POINTER,
 )
 CompiledFunction = _structure(
     "CompiledFunction",
     evaluate=POINTER,
     n_in=INT,
     n_out=INT,
+    places_in=POINTER,
+    places_out=POINTER,
     arguments=POINTER,
     results=POINTER,
     integers=POINTER,

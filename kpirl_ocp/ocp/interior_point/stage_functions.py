@@ -6,11 +6,13 @@ With the Lagrangian of one stage, L = l + lambda . f + z . h + nu . e, and of th
     last   (s, psi, c, d, z, nu)         -> l_T, g_T, e_T | grad l_T, grad L_T  | G_T', E_T', lower triangle of H_T
 
 x = (s, u), H is the second derivative of L by x, and F, G and E are the Jacobians of f, h and e. Each function has the
-results of its level and of those before. Jacobians and Hessians are sparse.
+results of its level and of those before. Jacobians and Hessians are sparse. Inputs and outputs bear the names of the
+pointers in `c/kpirl_mpc_model.h`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,6 +23,9 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 Levels = tuple[ca.Function, ca.Function, ca.Function]
 """A function of values, one of first and one of second derivatives."""
 
+_INPUTS = ("x", "psi", "context", "schedule", "costates", "z", "nu")
+_OUTPUTS = ("cost", "successor", "path", "equality"), ("cost_gradient", "gradient"), ("F", "G", "E", "H")
+_OF_DYNAMICS = ("costates", "successor", "F")  # which the end does not have
 _EXPANDED = 20_000  # nodes of a graph of matrices that is written out in scalars, at most
 _SHARED = 30_000  # operations among which common subexpressions are looked for, at most
 
@@ -121,19 +126,23 @@ def _levels(
     if constraints == 3:
         matrices.insert(0, jacobians[0])
     matrices.append(ca.tril(hessian))
-    point, dual = [x, *numbers], [x, *numbers, *multipliers]
-    return (
-        _function(f"{name}_values", point, values),
-        _function(f"{name}_first", dual, [*values, *slopes]),
-        _function(f"{name}_second", dual, [*values, *slopes, *matrices]),
-    )
+    names = [name for name in _INPUTS if constraints == 3 or name not in _OF_DYNAMICS]
+    inputs = dict(zip(names, [x, *numbers, *multipliers], strict=True))
+    point = {name: inputs[name] for name in _INPUTS[:4]}
+    outputs: dict[str, ca.SX | ca.MX] = {}
+    functions = []
+    for level, kinds, found in zip(("values", "first", "second"), _OUTPUTS, (values, slopes, matrices), strict=True):
+        names = [one for one in kinds if constraints == 3 or one not in _OF_DYNAMICS]
+        outputs = outputs | dict(zip(names, found, strict=True))
+        functions.append(_function(f"{name}_{level}", inputs if level != "values" else point, outputs))
+    return functions[0], functions[1], functions[2]
 
 
-def _function(name: str, inputs: list[ca.SX | ca.MX], outputs: list[ca.SX | ca.MX]) -> ca.Function:
-    function = ca.Function(name, inputs, outputs)
+def _function(name: str, inputs: Mapping[str, ca.SX | ca.MX], outputs: Mapping[str, ca.SX | ca.MX]) -> ca.Function:
+    function = ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
     if function.n_instructions() > _SHARED:
         return function
-    return ca.Function(name, inputs, ca.cse(outputs))
+    return ca.Function(name, list(inputs.values()), ca.cse(list(outputs.values())), list(inputs), list(outputs))
 
 
 def _numbers(kind: type[ca.SX] | type[ca.MX], problem: OCP) -> list[ca.SX | ca.MX]:
