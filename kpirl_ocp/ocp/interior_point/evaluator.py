@@ -60,7 +60,7 @@ class Compiled:
                 (function.sz_w(), np.float64),
             )
         ]
-        addresses = [array.ctypes.data for array in (*self._places, *self._memory)]
+        addresses = [array.ctypes.data for array in self._places] + [array.ctypes.data for array in self._memory]
         self._structure = CompiledFunction(code, function.n_in(), function.n_out(), *addresses)
 
     @property

@@ -123,16 +123,28 @@ LOG = ctypes.CFUNCTYPE(None, POINTER, ctypes.POINTER(Iteration))
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.CDLL:
-    """The build of the core for this processor. Raises CompilerError when the package was installed without it."""
+    """The build of the core for this processor.
+
+    Raises CompilerError when the package was installed without it, or was changed since.
+    """
     folder = Path(__file__).parent
     for level in _levels():
         path = folder / f"_core{level}.so"
         if path.exists():
-            return _declared(ctypes.CDLL(str(path)))
+            core = ctypes.CDLL(str(path))
+            if not hasattr(core, "kpirl_mpc_layout") or core.kpirl_mpc_layout() != _layout():
+                raise CompilerError(f"{path} was built from other sources than these: install the package again.")
+            return _declared(core)
     raise CompilerError(
         f"{folder} holds no compiled core (_core.so): install the package again on a machine with a C compiler, "
         "or from a wheel."
     )
+
+
+def _layout() -> int:
+    """The sizes of all structures that cross over."""
+    kinds = (Dimensions, Model, Bounds, Numbers, Options, Start, View, Residuals, Iteration, Buffered, CompiledFunction)
+    return sum((i + 1) * ctypes.sizeof(kind) for i, kind in enumerate(kinds))
 
 
 def _levels() -> list[str]:

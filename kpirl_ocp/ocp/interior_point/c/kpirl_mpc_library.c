@@ -27,3 +27,13 @@ int kpirl_mpc_evaluate_compiled(void *self, const void *arguments, const void *r
   for (i = 0; i < function->n_out; ++i) function->results[i] = to[function->out[i]];
   return function->evaluate(function->arguments, function->results, function->integers, function->reals, 0);
 }
+
+int kpirl_mpc_layout(void) {
+  static const size_t sizes[] = {sizeof(kpirl_mpc_dimensions), sizeof(kpirl_mpc_model),     sizeof(kpirl_mpc_bounds),
+                                 sizeof(kpirl_mpc_numbers),    sizeof(kpirl_mpc_options),   sizeof(kpirl_mpc_start),
+                                 sizeof(kpirl_mpc_view),       sizeof(kpirl_mpc_residuals), sizeof(kpirl_mpc_iteration),
+                                 sizeof(kpirl_mpc_buffered),   sizeof(kpirl_mpc_compiled)};
+  size_t sum = 0, i;
+  for (i = 0; i < sizeof sizes / sizeof *sizes; ++i) sum += (i + 1) * sizes[i];
+  return (int)sum;
+}

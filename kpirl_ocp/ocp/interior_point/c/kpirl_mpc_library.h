@@ -35,4 +35,7 @@ typedef struct kpirl_mpc_compiled {
 
 int kpirl_mpc_evaluate_compiled(void *self, const void *arguments, const void *results);
 
+/* A number that changes with the sizes of the structures: does a library belong to its user? */
+int kpirl_mpc_layout(void);
+
 #endif
