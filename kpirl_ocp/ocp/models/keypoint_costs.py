@@ -119,7 +119,7 @@ class KeypointCost:
             object.__setattr__(self, "effort", tuple(effort.tolist()))
 
     def schedule(self, horizon: int) -> Array:
-        """What changes from stage to stage (T+1, n_d): the weights' basis, then the effort's."""
+        """The schedule (T+1, n_d): the weights' basis in time, then the effort's."""
         basis = self.basis.matrix(horizon)  # (T, J)
         columns = basis if basis.shape[1] else np.ones((horizon, 1))
         effort = self._effort_basis(horizon)  # (T, 1), or (T, T) when learned per step

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.activations import Slopes
-from kpirl_ocp.ocp.models.mlp import MLP, pull, pull_tangent, push
+from kpirl_ocp.ocp.models.mlp import MLP, jvp, vjp, vjp_tangent
 from kpirl_ocp.ocp.models.mlp_hessian import prepare, second
 from kpirl_ocp.types import Array
 
@@ -74,9 +74,9 @@ class NetworkDynamics:
         """The next state for the output y of the network, or its change for changes."""
         return self._shift(s) + ca.vertcat(y, self._displacement(u))
 
-    def pull(self, slopes: list[Slopes], costates: ca.MX) -> ca.MX:
+    def Ft_lambda(self, slopes: list[Slopes], costates: ca.MX) -> ca.MX:
         """F' lambda (n_x, B) for costates (n_s, B)."""
-        by_network, _ = pull(self.mlp, slopes, costates[: self.n_z, :])
+        by_network, _ = vjp(self.mlp, slopes, costates[: self.n_z, :])
         theta = costates[self.n_z : self.n_z + self.n_joints, :]
         by_s = self._shift(costates) + by_network[: self.n_states, :]
         return ca.vertcat(by_s, theta + by_network[self.n_states :, :])
@@ -120,18 +120,18 @@ class LinearisedNetwork:
     @property
     def Ft_lambda(self) -> ca.MX:
         """The costates pulled back through every stage."""
-        return self.dynamics.pull(self._slopes, self.costates)
+        return self.dynamics.Ft_lambda(self._slopes, self.costates)
 
     def F_times(self, x: ca.MX) -> ca.MX:
         """The change of the successors along x."""
         n_s = self.dynamics.n_states
-        by_network, _ = push(self.dynamics.mlp, self._slopes, x)
+        by_network, _ = jvp(self.dynamics.mlp, self._slopes, x)
         return self.dynamics.successor(x[:n_s, :], by_network, x[n_s:, :])
 
     def Ft_lambda_tangent(self, x: ca.MX, dcostates: ca.MX) -> ca.MX:
         """The change of `Ft_lambda`."""
         adjoints = self._of_network(self.costates), x, self._of_network(dcostates)
-        by_network, _ = pull_tangent(self.dynamics.mlp, self._slopes, *adjoints)
+        by_network, _ = vjp_tangent(self.dynamics.mlp, self._slopes, *adjoints)
         return by_network + self.dynamics.linear.T @ dcostates
 
     def second(self) -> tuple[ca.Function, list[ca.MX]]:

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
-from kpirl_ocp.ocp.models.mlp import MLP, arrays, curved, from_arrays, pull, pull_tangent, push
+from kpirl_ocp.ocp.models.mlp import MLP, flatten_slopes, has_curvature, jvp, unflatten_slopes, vjp, vjp_tangent
 from kpirl_ocp.ocp.problem.columns import scan
 from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout
 from kpirl_ocp.types import Array
@@ -39,7 +39,7 @@ class NetworkPasses:
         z0, theta0, velocity = self._parts(s0)
         theta = self._sum(theta0, actions)
         constant = ca.mac(ca.DM(self._by_velocity), velocity, ca.repmat(ca.DM(self._mlp.biases[0]), 1, self.columns))
-        z, *memory = scan(self._forward, z0, self._ahead(theta, actions, constant), self.horizon)
+        z, *memory = scan(self._forward, z0, self._drive_inputs(theta, actions, constant), self.horizon)
         states = _stack(ca.horzcat(z0, z), theta, ca.repmat(velocity, 1, self.horizon + 1))
         return Rollout(states, actions, tuple(memory))
 
@@ -47,7 +47,7 @@ class NetworkPasses:
         """Changes of the states, of s_0 none."""
         zero = ca.MX.zeros(self.dynamics.n_z, self.columns)
         dtheta = self._sum(ca.MX.zeros(self.dynamics.n_joints, self.columns), dU)
-        after = scan(self._tangent, zero, [*at.memory, *self._ahead(dtheta, dU)], self.horizon)
+        after = scan(self._tangent, zero, [*at.memory, *self._drive_inputs(dtheta, dU)], self.horizon)
         return _stack(ca.horzcat(zero, *after), dtheta, ca.MX.zeros(dtheta.shape))
 
     def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
@@ -59,7 +59,7 @@ class NetworkPasses:
         if not self._curved:
             return self._backwards(self._adjoint, psi, Q, *at.memory)
         dz, dtheta, _ = self._parts(dS)
-        inputs = *at.memory, *memory, dz[:, : dU.size2()], *self._ahead(dtheta, dU)
+        inputs = *at.memory, *memory, dz[:, : dU.size2()], *self._drive_inputs(dtheta, dU)
         return self._backwards(self._adjoint_tangent, psi, Q, *inputs)
 
     def _backwards(self, stage: ca.Function, psi: ca.MX, Q: ca.MX, *inputs: ca.MX) -> Adjoint:
@@ -78,15 +78,15 @@ class NetworkPasses:
             memory=(costates,) if self._curved else (),
         )
 
-    def _ahead(self, theta: ca.MX, actions: ca.MX, constant: ca.MX | None = None) -> list[ca.MX]:
-        """What stages t < T know e_t by: the joints (theta_t, u_t) and the constant, or e_t itself."""
+    def _drive_inputs(self, theta: ca.MX, actions: ca.MX, constant: ca.MX | None = None) -> list[ca.MX]:
+        """Inputs of the stages t < T for e_t: the joints (theta_t, u_t) and the constant, or e_t itself."""
         joints = _stack(theta[:, : actions.size2()], actions)
         if self._wide:
             return [joints] if constant is None else [joints, constant]
         return [self._drive(joints, None if constant is None else ca.repmat(constant, 1, self.horizon))]
 
-    def _given(self, constant: bool = False) -> tuple[list[ca.MX], ca.MX]:
-        """Symbols for that, and e_t."""
+    def _drive_symbols(self, constant: bool = False) -> tuple[list[ca.MX], ca.MX]:
+        """Symbols of those inputs of one stage, and e_t."""
         n_1, n_joints = self._by_joints.shape
         if not self._wide:
             drive = self._symbol("e", n_1)
@@ -145,37 +145,37 @@ class NetworkPasses:
 
     @cached_property
     def _curved(self) -> bool:
-        return curved(self._mlp.linearise(ca.MX.sym("z", self.dynamics.n_z))[1])
+        return has_curvature(self._mlp.linearise(ca.MX.sym("z", self.dynamics.n_z))[1])
 
     @cached_property
     def _forward(self) -> ca.Function:
-        """z, what e_t takes -> z_next, slopes."""
-        z, (given, drive) = self._symbol("z"), self._given(constant=True)
+        """z, inputs for e_t -> z_next, slopes."""
+        z, (inputs, drive) = self._symbol("z"), self._drive_symbols(constant=True)
         y, slopes = self._mlp.linearise(z, drive)
-        return ca.Function("forward", [z, *given], [self._keep(z) + y, *arrays(slopes)])
+        return ca.Function("forward", [z, *inputs], [self._residual(z) + y, *flatten_slopes(slopes)])
 
     @cached_property
     def _tangent(self) -> ca.Function:
-        """dz, slopes, what de_t takes -> dz_next."""
-        dz, slopes, (given, drive) = self._symbol("dz"), self._slopes, self._given()
-        dy, _ = push(self._mlp, from_arrays(self._mlp, slopes), dz, drive)
-        return ca.Function("tangent", [dz, *slopes, *given], [self._keep(dz) + dy])
+        """dz, slopes, inputs for de_t -> dz_next."""
+        dz, slopes, (inputs, drive) = self._symbol("dz"), self._slopes, self._drive_symbols()
+        dy, _ = jvp(self._mlp, unflatten_slopes(self._mlp, slopes), dz, drive)
+        return ca.Function("tangent", [dz, *slopes, *inputs], [self._residual(dz) + dy])
 
     @cached_property
     def _adjoint(self) -> ca.Function:
         """lambda_z, q_z, slopes -> lambda_z before, adjoint of a_1."""
         lam, q, slopes = self._symbol("lam"), self._symbol("q"), self._slopes
-        by_z, inner = pull(self._mlp, from_arrays(self._mlp, slopes), lam)
-        return self._backward("adjoint", [lam, q, *slopes], q + self._keep(lam) + by_z, inner)
+        by_z, inner = vjp(self._mlp, unflatten_slopes(self._mlp, slopes), lam)
+        return self._backward("adjoint", [lam, q, *slopes], q + self._residual(lam) + by_z, inner)
 
     @cached_property
     def _adjoint_tangent(self) -> ca.Function:
-        """mu_z, q_z, slopes, lambda_z, dz, what de_t takes -> mu_z before, tangent of the adjoint of a_1."""
+        """mu_z, q_z, slopes, lambda_z, dz, inputs for de_t -> mu_z before, tangent of the adjoint of a_1."""
         mu, q, lam, dz = (self._symbol(name) for name in ("mu", "q", "lam", "dz"))
-        slopes, (given, drive) = self._slopes, self._given()
-        by_z, inner = pull_tangent(self._mlp, from_arrays(self._mlp, slopes), lam, dz, mu, drive)
-        inputs = [mu, q, *slopes, lam, dz, *given]
-        return self._backward("adjoint_tangent", inputs, q + self._keep(mu) + by_z, inner)
+        slopes, (inputs, drive) = self._slopes, self._drive_symbols()
+        by_z, inner = vjp_tangent(self._mlp, unflatten_slopes(self._mlp, slopes), lam, dz, mu, drive)
+        arguments = [mu, q, *slopes, lam, dz, *inputs]
+        return self._backward("adjoint_tangent", arguments, q + self._residual(mu) + by_z, inner)
 
     def _backward(self, name: str, inputs: list[ca.MX], before: ca.MX, inner: ca.MX) -> ca.Function:
         return ca.Function(name, inputs, [before, *(self._shares(inner) if self._wide else [inner])])
@@ -185,10 +185,11 @@ class NetworkPasses:
 
     @cached_property
     def _slopes(self) -> list[ca.MX]:
-        """Symbols for what the rollout remembers."""
-        return [ca.MX.sym("slope", *part.shape) for part in arrays(self._mlp.linearise(self._symbol("z"))[1])]
+        """Symbols for the memory of the rollout."""
+        return [ca.MX.sym("slope", *part.shape) for part in flatten_slopes(self._mlp.linearise(self._symbol("z"))[1])]
 
-    def _keep(self, z: ca.MX) -> ca.MX | float:
+    def _residual(self, z: ca.MX) -> ca.MX | float:
+        """z where the network predicts its change, else zero."""
         return z if self.dynamics.residual else 0.0
 
 

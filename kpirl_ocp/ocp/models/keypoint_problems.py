@@ -48,7 +48,7 @@ def keypoint_ocp(
     psi = ca.SX.sym("psi", cost.n_parameters(horizon, n_z))
     goal, stage = ca.SX.sym("goal", n_z), ca.SX.sym("d", schedule.shape[1])
     z, theta, velocity = state[:n_z], state[n_z : n_z + n_q], state[n_z + n_q :]
-    moved = theta + action
+    successor = theta + action
     free = np.full(n_z, np.inf), np.full(n_q, np.inf)
     limits = robot.joint_limits if joint_limits else (-free[1], free[1])
     return OCP.from_expressions(
@@ -57,7 +57,7 @@ def keypoint_ocp(
         parameters=psi,
         context=goal,
         stage=stage,
-        dynamics=ca.vertcat(robot.keypoint_function(moved) / unit, moved, velocity),
+        dynamics=ca.vertcat(robot.keypoint_function(successor) / unit, successor, velocity),
         stage_cost=cost.stage_cost(z, action, psi, goal, stage),
         terminal_cost=cost.stage_cost(z, ca.SX.zeros(n_q), psi, goal, stage),
         observation=z,

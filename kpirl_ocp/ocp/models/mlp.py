@@ -120,17 +120,16 @@ class MLP:
             width = weight.shape[0]
 
 
-def push(mlp: MLP, slopes: Sequence[Slopes], dx: ca.MX, drive: ca.MX | None = None) -> tuple[ca.MX, list[ca.MX]]:
+def jvp(mlp: MLP, slopes: Sequence[Slopes], dx: ca.MX, drive: ca.MX | None = None) -> tuple[ca.MX, list[ca.MX]]:
     """J dx (n_out, B) for dx (n_in, B), and the tangents da_l on the way; `drive` (n_1, B) is added to da_1."""
     tangents: list[ca.MX] = []
     for weight, slope in zip(mlp.weights, slopes, strict=True):
-        moved = ca.DM(weight) @ dx if drive is None or tangents else ca.mac(ca.DM(weight), dx, drive)
-        tangents.append(moved)
-        dx = times(slope.first, moved)
+        tangents.append(ca.DM(weight) @ dx if drive is None or tangents else ca.mac(ca.DM(weight), dx, drive))
+        dx = times(slope.first, tangents[-1])
     return dx, tangents
 
 
-def pull(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> tuple[ca.MX, ca.MX]:
+def vjp(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> tuple[ca.MX, ca.MX]:
     """J^T adjoint (n_in, B) for adjoint (n_out, B), and the adjoint (n_1, B) of a_1 on the way."""
     inner = adjoint
     for weight, slope in zip(reversed(mlp.weights), reversed(slopes), strict=True):
@@ -139,17 +138,17 @@ def pull(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> tuple[ca.MX, ca.
     return adjoint, inner
 
 
-def pull_tangent(
+def vjp_tangent(
     mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX, dx: ca.MX, dadjoint: ca.MX, drive: ca.MX | None = None
 ) -> tuple[ca.MX, ca.MX]:
-    """How both results of `pull` change when x moves as in `push` and the adjoint by dadjoint.
+    """The changes of both results of `vjp` along dx, as in `jvp`, and dadjoint.
 
     The first is J^T dadjoint + (adjoint . f)'' dx. Adjoint and tangent share each product with W^T, as two blocks of
     columns. Without curvature, only J^T dadjoint is left.
     """
-    if not curved(slopes):
-        return pull(mlp, slopes, dadjoint)
-    _, tangents = push(mlp, slopes, dx, drive)
+    if not has_curvature(slopes):
+        return vjp(mlp, slopes, dadjoint)
+    _, tangents = jvp(mlp, slopes, dx, drive)
     inner, columns = dadjoint, adjoint.size2()
     for weight, slope, tangent in zip(reversed(mlp.weights), reversed(slopes), reversed(tangents), strict=True):
         inner = times(slope.first, dadjoint)
@@ -168,22 +167,22 @@ def jacobian(mlp: MLP, slopes: Sequence[Slopes]) -> ca.MX:
     return columns.T
 
 
-def curved(slopes: Sequence[Slopes]) -> bool:
+def has_curvature(slopes: Sequence[Slopes]) -> bool:
     """True if any layer has a second derivative."""
     return any(slope.second is not None for slope in slopes)
 
 
-def arrays(slopes: Sequence[Slopes]) -> list[ca.MX]:
-    """The slopes as a plain list, to be kept for later; `from_arrays` is the way back."""
+def flatten_slopes(slopes: Sequence[Slopes]) -> list[ca.MX]:
+    """The slopes as a plain list, to be kept for later; `unflatten_slopes` is its inverse."""
     return [part for slope in slopes for part in (slope.first, slope.second) if part is not None]
 
 
-def from_arrays(mlp: MLP, kept: Sequence[ca.MX]) -> list[Slopes]:
-    """The slopes that `arrays` listed."""
-    left, slopes = iter(kept), []
+def unflatten_slopes(mlp: MLP, kept: Sequence[ca.MX]) -> list[Slopes]:
+    """The slopes that `flatten_slopes` listed."""
+    parts, slopes = iter(kept), []
     for name in mlp.activations:
         _, pattern = ACTIVATIONS[name](ca.MX.sym("a"))
-        first, second = (None if part is None else next(left) for part in (pattern.first, pattern.second))
+        first, second = (None if part is None else next(parts) for part in (pattern.first, pattern.second))
         slopes.append(Slopes(first, second))
     return slopes
 

@@ -23,9 +23,9 @@ Parts = Sequence["ca.MX | None"]
 
 
 def prepare(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> list[ca.MX | None]:
-    """What `second` takes at each of B points, for adjoint (n_out, B); None for what has no numbers.
+    """The arguments of `second` at B points, for adjoint (n_out, B); None for those without numbers.
 
-    That is the lower triangle of the first layer's term, sigma_1' .. sigma_L' and w_2 .. w_L.
+    They are the lower triangle of the first layer's term, sigma_1' .. sigma_L' and w_2 .. w_L.
     """
     weights = _weights(mlp, slopes, adjoint)
     low = None if weights[0] is None else ca.DM(_pairs(mlp.weights[0])) @ weights[0]
@@ -48,11 +48,6 @@ def second(mlp: MLP, prepared: Parts) -> tuple[ca.MX, ca.MX]:
         if curvature is not None:
             total = ca.mac(columns, scale_rows(curvature, columns.T), total)
     return scale_rows(firsts[-1], columns.T), total
-
-
-def hessian(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> ca.MX:
-    """The second result of `second`, at one x."""
-    return second(mlp, prepare(mlp, slopes, adjoint))[1]
 
 
 def _weights(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> list[ca.MX | None]:

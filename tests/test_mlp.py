@@ -10,8 +10,8 @@ import pytest
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.activations import ACTIVATIONS
 from kpirl_ocp.ocp.models.keypoint_dynamics import LinearisedNetwork, NetworkDynamics
-from kpirl_ocp.ocp.models.mlp import MLP, arrays, from_arrays, jacobian, pull, pull_tangent, push
-from kpirl_ocp.ocp.models.mlp_hessian import hessian
+from kpirl_ocp.ocp.models.mlp import MLP, flatten_slopes, jacobian, jvp, unflatten_slopes, vjp, vjp_tangent
+from kpirl_ocp.ocp.models.mlp_hessian import prepare, second
 from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedByStage
 
 every_activation = pytest.mark.parametrize("activation", ACTIVATIONS)
@@ -121,14 +121,14 @@ def test_hand_arranged_derivatives_are_those_of_ad(activation, output_activation
     mlp = random_mlp(activation, output_activation=output_activation)
     x, dx, lam, dlam = (ca.MX.sym(name, n) for name, n in [("x", 9), ("dx", 9), ("lam", 4), ("dlam", 4)])
     y, slopes = mlp.linearise(x)
-    slopes = from_arrays(mlp, arrays(slopes))
+    slopes = unflatten_slopes(mlp, flatten_slopes(slopes))
     gradient = ca.gradient(ca.dot(lam, y), x)
     found = [
-        push(mlp, slopes, dx)[0],
-        pull(mlp, slopes, lam)[0],
-        pull_tangent(mlp, slopes, lam, dx, dlam)[0],
+        jvp(mlp, slopes, dx)[0],
+        vjp(mlp, slopes, lam)[0],
+        vjp_tangent(mlp, slopes, lam, dx, dlam)[0],
         jacobian(mlp, slopes),
-        hessian(mlp, slopes, lam),
+        second(mlp, prepare(mlp, slopes, lam))[1],
     ]
     expected = [
         ca.jtimes(y, x, dx),
@@ -153,10 +153,10 @@ def test_columns_are_independent_points(activation):
         y, slopes = mlp.linearise(x)
         return [
             y,
-            push(mlp, slopes, dx)[0],
-            pull(mlp, slopes, lam)[0],
-            pull_tangent(mlp, slopes, lam, dx, dlam)[0],
-            *arrays(slopes),
+            jvp(mlp, slopes, dx)[0],
+            vjp(mlp, slopes, lam)[0],
+            vjp_tangent(mlp, slopes, lam, dx, dlam)[0],
+            *flatten_slopes(slopes),
         ]
 
     together = everything(x, dx, lam, dlam)
@@ -171,7 +171,7 @@ def test_columns_are_independent_points(activation):
 def test_a_piecewise_linear_network_has_a_structurally_empty_hessian(activation):
     x = ca.MX.sym("x", 9)
     mlp = random_mlp(activation)
-    assert hessian(mlp, mlp.linearise(x)[1], ca.MX.ones(4)).nnz() == 0
+    assert second(mlp, prepare(mlp, mlp.linearise(x)[1], ca.MX.ones(4)))[1].nnz() == 0
 
 
 def test_normalisation_is_folded_into_the_weights():
