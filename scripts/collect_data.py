@@ -6,7 +6,7 @@ The same command run again goes on where it was interrupted. Test data is a coll
 import argparse
 from dataclasses import fields
 
-from kpirl_ocp.perception.data.collect import collect
+from kpirl_ocp.perception.data.collection import collect
 from kpirl_ocp.perception.data.motions import MOTIONS
 from kpirl_ocp.reporting import run
 

@@ -24,7 +24,7 @@ from kpirl_ocp.perception.data.video import Frames, sample_indices
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.track_images import image_strips, keypoint_paths, with_tracks
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant
-from kpirl_ocp.perception.plant.placing_starts import RATE, PlacingStarts, placing_starts
+from kpirl_ocp.perception.plant.starts import RATE, PlacingStarts, placing_starts
 from kpirl_ocp.perception.scene.hand import RATE as FILM_RATE
 from kpirl_ocp.perception.scene.hand import HandScene, placing_path
 from kpirl_ocp.perception.scene.scene import Scene

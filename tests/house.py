@@ -183,8 +183,11 @@ class House:
             parts = Path(folder).parts
             if parts and parts[0] in ORDER and len(parts) > 1 and _line(parts[0], parts[1]) is None:
                 yield f"{folder} has no place in the order of rooms"
-            if parts and not _says_what_it_is(self.sources.get(f"{folder}/__init__.py", "")):
+            face = self.sources.get(f"{folder}/__init__.py", "")
+            if parts and not _says_what_it_is(face):
                 yield f"{folder}/__init__.py does not say in a sentence what the room is"
+            if parts and parts[0] in ORDER and len(parts) == 2 and not _offers_names(face):
+                yield f"{folder}/__init__.py offers no names"
 
     def faults(self):
         """All of them, each once."""
@@ -220,6 +223,12 @@ def _circles(graph):
 def _says_what_it_is(source):
     docstring = ast.get_docstring(ast.parse(source))
     return bool(docstring) and docstring.splitlines()[0].endswith(".")
+
+
+def _offers_names(source):
+    """Whether a face assigns `__all__`."""
+    names = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name))
+    return any(name.id == "__all__" and isinstance(name.ctx, ast.Store) for name in names)
 
 
 def package_sources():

@@ -13,7 +13,7 @@ pytest.importorskip("torch")
 from kpirl_ocp.episodes import episode_path, read_episode, read_meta
 from kpirl_ocp.errors import EpisodeError, FileError, ProblemError, SceneError
 from kpirl_ocp.perception.data.clips import read_recordings, read_videos
-from kpirl_ocp.perception.data.collect import collect
+from kpirl_ocp.perception.data.collection import collect
 from kpirl_ocp.perception.data.motions import MOTIONS, HandPlacing, HandWandering, LastJoint, Placing, Reaching, Sines
 from kpirl_ocp.perception.data.recordings import ArmRecording, GroundTruth, Recording, read_hand
 from kpirl_ocp.perception.detector.tracks import detect_tracks

@@ -1,5 +1,7 @@
 """The package follows the plan of the house (`house.py`), and what checks that would find every departure from it."""
 
+import importlib
+
 import pytest
 from house import ORDER, ROOT, House, c_faults, package_sources
 
@@ -7,8 +9,16 @@ from house import ORDER, ROOT, House, c_faults, package_sources
 KNOWN = {
     "circle of C files: kpirl_mpc, kpirl_mpc_memory",
     "circle of C files: kpirl_mpc_filter, kpirl_mpc_riccati",
+    "ocp/codegen/__init__.py offers no names",
+    "ocp/conditions/__init__.py offers no names",
     "ocp/export/c/kpirl_mpc.c has more than 300 lines",
     "ocp/export/c/kpirl_mpc_newton.c has more than 300 lines",
+    "ocp/interior_point/__init__.py offers no names",
+    "ocp/linear/__init__.py offers no names",
+    "ocp/models/__init__.py offers no names",
+    "ocp/problem/__init__.py offers no names",
+    "ocp/sensitivity/__init__.py offers no names",
+    "ocp/solvers/__init__.py offers no names",
 }
 
 
@@ -25,7 +35,18 @@ def test_every_room_in_the_order_exists():
     assert [room for room in rooms if not (room / "__init__.py").is_file()] == []
 
 
-ROOM = '"""A room."""'
+@pytest.mark.parametrize("room", [f"{part}.{room}" for part, lines in ORDER.items() for line in lines for room in line])
+def test_a_room_has_the_names_that_it_offers(room):
+    face = importlib.import_module(f"kpirl_ocp.{room}")
+    for name in getattr(face, "__all__", ()):
+        try:
+            getattr(face, name)
+        except ModuleNotFoundError as error:
+            if str(error.name).startswith("kpirl_ocp"):  # else it belongs to an extra
+                raise
+
+
+ROOM = '"""A room."""\n__all__ = []'
 ROOMS = ("ocp/problem", "ocp/linear", "ocp/models", "ocp/solvers", "irl/learning", "perception/detector")
 PACKAGE = {
     **{f"{name}.py": "" for name in ("__init__", "errors", "types", "episodes", "ocp/linear/kkt")},
@@ -91,8 +112,13 @@ FORBIDDEN = {  # file, its source, what is reported
     "a file outside the rooms": ("irl/study.py", "", "irl/study.py is in no room"),
     "a room without a sentence": (
         "ocp/solvers/__init__.py",
-        '"""Solvers"""',
+        '"""Solvers"""\n__all__ = []',
         "ocp/solvers/__init__.py does not say in a sentence what the room is",
+    ),
+    "a room that offers nothing": (
+        "ocp/solvers/__init__.py",
+        '"""Solvers."""',
+        "ocp/solvers/__init__.py offers no names",
     ),
     "a room without a place": ("irl/attic/__init__.py", ROOM, "irl/attic has no place in the order of rooms"),
 }

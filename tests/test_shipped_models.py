@@ -13,7 +13,7 @@ import torch
 from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
 from kpirl_ocp.perception.data.clips import read_recordings
-from kpirl_ocp.perception.data.collect import collect
+from kpirl_ocp.perception.data.collection import collect
 from kpirl_ocp.perception.data.motions import HandPlacing, LastJoint, Placing, Sines
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.evaluation import score

@@ -16,7 +16,7 @@ from kpirl_ocp.errors import ModelError
 from kpirl_ocp.irl.cases.planar_arm import planar_dynamics
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.perception.data.clips import read_recordings
-from kpirl_ocp.perception.data.collect import collect
+from kpirl_ocp.perception.data.collection import collect
 from kpirl_ocp.perception.data.motions import HandPlacing, Reaching
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.tracks import detect_tracks

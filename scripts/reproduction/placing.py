@@ -19,7 +19,7 @@ from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.perception.detector.keypoints import to_pixels
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant, Disturbance
-from kpirl_ocp.perception.plant.placing_starts import RATE, placing_starts
+from kpirl_ocp.perception.plant.starts import RATE, placing_starts
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array, Demonstration
 from reproduction.data import HandClip, Models

@@ -1,1 +1,40 @@
 """Costs from visual demonstrations, and control behind a camera."""
+
+from kpirl_ocp.irl.visual.closed_loop import Execution, KeypointController, Plant
+from kpirl_ocp.irl.visual.demonstrations import (
+    moving_keypoints,
+    positions,
+    robot_demonstration,
+    transferred_demonstration,
+)
+from kpirl_ocp.irl.visual.learning import (
+    CONVERGED,
+    COSTS,
+    Effort,
+    InnerLoop,
+    LearnedPlan,
+    learn_by_apprenticeship,
+    learn_implicit,
+    learn_unrolled,
+)
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
+
+__all__ = [
+    "CONVERGED",
+    "COSTS",
+    "Effort",
+    "Execution",
+    "InnerLoop",
+    "KeypointController",
+    "LearnedPlan",
+    "PlanningCost",
+    "Plant",
+    "learn_by_apprenticeship",
+    "learn_implicit",
+    "learn_unrolled",
+    "moving_keypoints",
+    "planning_problem",
+    "positions",
+    "robot_demonstration",
+    "transferred_demonstration",
+]

@@ -1,1 +1,8 @@
-"""Videos, motions and data sets."""
+"""Videos, motions to record, and data sets.
+
+Names are imported when they are used, because they need different packages.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,8 @@
-"""The keypoint detector: network, losses, training and evaluation."""
+"""The keypoint detector: network, losses, training, evaluation, and pictures of keypoints.
+
+Names are imported when they are used, because they need different packages.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,8 @@
-"""Dynamics learned in keypoints."""
+"""Dynamics learned in keypoints: network, training and evaluation.
+
+Names are imported when they are used, because they need different packages.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,8 @@
-"""The simulated robot behind its camera and detector, for a controller to act on."""
+"""The simulated robot behind its camera and detector, for a controller to act on.
+
+Names are imported when they are used, because they need different packages.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

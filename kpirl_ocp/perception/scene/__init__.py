@@ -1,1 +1,8 @@
-"""The scene in PyBullet: robot, bottle, shelf, hand and camera."""
+"""The scene in PyBullet: robot, bottle, shelf, hand and camera.
+
+Names are imported when they are used, because they need different packages.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,11 @@
+from .model import ACTIVATIONS, DynamicsModel
+from .training import DynamicsScores, DynamicsSettings, score_dynamics, train_dynamics
+
+__all__ = [
+    "ACTIVATIONS",
+    "DynamicsModel",
+    "DynamicsScores",
+    "DynamicsSettings",
+    "score_dynamics",
+    "train_dynamics",
+]
