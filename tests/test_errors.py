@@ -18,7 +18,8 @@ PLAIN = [kind for kind in ALL if kind is not CertificateError]
 def certificate():
     empty = [[0.0]]
     residuals = KKTResiduals(1.0, 0.0, 0.0, 0.0, 1.0)
-    parts = (Trajectory(empty, empty), Multipliers(empty, empty, empty, empty), 1.0, residuals, Status.STALLED, 3)
+    multipliers = Multipliers(empty, empty, empty, empty)
+    parts = (Trajectory(empty, empty), multipliers, 1.0, residuals, Status.STALLED, 3, [], [])
     return Certificate(solution=Solution(*parts), failures=("The KKT residual is 1.",))
 
 
