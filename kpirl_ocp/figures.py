@@ -1,36 +1,59 @@
-"""Figures of the scripts: arrays in, one PNG out."""
+"""Figures of the scripts: arrays in, one picture out, in the style of `kpirl_ocp.pictures`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from kpirl_ocp.pictures import COLOURS, GREY, PAGE, STYLE
 from kpirl_ocp.types import Array
 
-# Okabe and Ito's palette, legible for colour-blind readers.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-GREY = "#888888"
+# What has a colour of its own in every figure.
+_KNOWN = dict(zip(("Weighted", "TimeDep", "RBF", "apprenticeship"), COLOURS, strict=False)) | {"Default": GREY}
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write the PNG and give its path back."""
+    """Write the figure, as PNG or SVG by the path's suffix, and give its path back."""
     figure.savefig(path, dpi=150)
     return path
 
 
 def new_figure(rows: int, columns: int, width: float = 4.2, height: float = 3.3) -> tuple[Figure, list[Axes]]:
-    """A figure with a grid of axes, row by row."""
-    figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
-    return figure, list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
+    """A figure with a grid of axes, row by row; no wider than a page, so that nobody shrinks its text."""
+    size = (min(width * columns, PAGE), height * rows)
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = Figure(figsize=size, layout="constrained")
+        return figure, list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
+
+
+def wrapped_figure(count: int, width: float = 4.6, height: float = 3.3) -> tuple[Figure, list[Axes]]:
+    """A figure with `count` axes of about this width [inch], in as many rows as a page needs."""
+    columns = min(count, max(1, round(PAGE / width)))
+    figure, axes = new_figure(-(-count // columns), columns, width, height)
+    for spare in axes[count:]:
+        spare.set_visible(False)
+    return figure, axes[:count]
+
+
+def colours(names: Iterable[str]) -> dict[str, str]:
+    """A colour for each name: the one it has in every figure, or one that is left."""
+    names = list(names)
+    fixed = {name: _KNOWN[name] for name in names if name in _KNOWN}
+    left = [colour for colour in COLOURS if colour not in fixed.values()]
+    others = [name for name in names if name not in fixed]
+    return fixed | {name: left[index % len(left)] for index, name in enumerate(others)}
 
 
 def bands(axes: Axes, curves: Mapping[str, Sequence[Array]], log: bool = True) -> None:
     """One line per name, the mean over runs, with a band from lowest to highest; a curve that ended keeps its end."""
-    for colour, (name, runs) in zip(COLOURS, curves.items(), strict=False):
+    chosen = colours(curves)
+    for name, runs in curves.items():
+        colour = chosen[name]
         length = max(map(len, runs))
         values = np.array([np.concatenate([run, np.full(length - len(run), run[-1])]) for run in runs])
         axes.plot(values.mean(axis=0), color=colour, label=name, linewidth=1.5)

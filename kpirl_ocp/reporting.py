@@ -59,6 +59,20 @@ def _plain(value: Any) -> Any:
     return str(value)
 
 
+def plus_minus(mean: float, deviation: float) -> str:
+    """Three digits of the mean and two of the deviation, without exponents where both are easily read: 175 ± 140."""
+    return f"{_digits(mean, 3)} ± {_digits(deviation, 2)}"
+
+
+def _digits(value: float, count: int) -> str:
+    size = abs(value)
+    if not np.isfinite(value) or size == 0 or not 1e-4 <= size < 1e6:
+        return f"{value:.{count}g}"
+    places = count - 1 - int(np.floor(np.log10(size)))
+    rounded = round(value, places)
+    return f"{rounded:.{max(places, 0)}f}".rstrip("0").rstrip(".") if places > 0 else f"{rounded:.0f}"
+
+
 def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """Aligned columns, the first to the left, the others to the right."""
     cells = [list(map(str, header)), *([_cell(value) for value in row] for row in rows)]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kpirl_ocp.errors import ProblemError, SolveError
+from kpirl_ocp.pictures import Panel, card, draw, svg
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -156,7 +157,7 @@ class KKTResiduals:
         return max_or_nan(self.feasibility, *(float(dual) / self.scale for dual in duals))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Solution:
     """A trajectory with the evidence of how good it is.
 
@@ -196,6 +197,21 @@ class Solution:
         if not self.status.ok:
             raise SolveError(str(self))
         return self
+
+    def panels(self) -> tuple[Panel, Panel]:
+        """States and actions over time, to be drawn."""
+        return Panel("states", self.states), Panel("actions", self.actions, stairs=True)
+
+    def _repr_html_(self) -> str:
+        facts = {
+            "objective": f"{self.objective:.6g}",
+            "KKT residual": f"{self.residuals.worst:.1e}",
+            "iterations": str(self.iterations),
+        }
+        return card(f"{self.status.name}: {self.status.value}", facts, svg(draw(self.panels())))
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {len(self.actions)} steps, {self}>"
 
     def __str__(self) -> str:
         backend = f"; {self.message}" if self.message else ""

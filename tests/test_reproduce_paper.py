@@ -15,6 +15,7 @@ pytest.importorskip("cv2")
 
 from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.errors import ModelError
+from kpirl_ocp.reporting import plus_minus
 
 ROOT = Path(__file__).parents[1]
 
@@ -44,7 +45,7 @@ def test_a_tiny_run_writes_one_self_contained_report(reproduced):
     out, result = reproduced
     page = (out / "report.html").read_text()
     assert str(out / "report.html") in result.stdout
-    assert len(re.findall(r'src="data:image/png;base64,', page)) == page.count("<img ") >= 10
+    assert len(re.findall(r'src="data:image/svg\+xml;base64,', page)) == page.count("<img ") >= 10
     assert not re.findall(r'(?:src|href)="http', page)
     for section in ("Simulation study", "Experiment 1", "Experiment 2", "robustness", "Settings and versions"):
         assert section in page
@@ -55,7 +56,7 @@ def test_the_report_shows_the_numbers_of_metrics_json(reproduced):
     metrics = json.loads((out / "metrics.json").read_text())
     jobs = metrics["results"]["jobs"]
     default = jobs["placing-executed/Default-0-1-open"]["squared"]
-    assert f"{default:.3g} ±" in (out / "report.html").read_text()
+    assert plus_minus(float(default), 0.0) in (out / "report.html").read_text()
     assert {claim["holds"] for claim in metrics["results"]["claims"]} <= {True, False}
     assert metrics["versions"]["casadi"]
 

@@ -1,4 +1,4 @@
-"""One self-contained page: headings, text, tables, and figures as base64 PNGs, which also go to files beside it."""
+"""One self-contained page: headings, text, tables, and figures as SVG, which also go to files beside it."""
 
 from __future__ import annotations
 
@@ -14,15 +14,19 @@ from matplotlib.figure import Figure
 from kpirl_ocp.episodes import atomic_write
 
 _PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title><style>
 body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }}
 table {{ border-collapse: collapse; margin: 1rem 0; font-size: 0.9rem; }}
 th, td {{ border-bottom: 1px solid #ccc; padding: 0.25rem 0.7rem; text-align: right; }}
 th:first-child, td:first-child {{ text-align: left; }}
-img {{ max-width: 100%; }} figure {{ margin: 1.5rem 0; }} figcaption, .note {{ color: #555; font-size: 0.9rem; }}
+.wide {{ overflow-x: auto; }} nav ul {{ padding-left: 1.2rem; }} nav .level3 {{ margin-left: 1.2rem; }}
+img {{ max-width: 100%; height: auto; }} figure {{ margin: 1.5rem 0; }}
+figcaption, .note {{ color: #555; font-size: 0.9rem; }}
 pre {{ background: #f5f5f5; padding: 0.7rem; overflow-x: auto; font-size: 0.8rem; }}
 </style></head><body>
 <h1>{title}</h1>
+<nav><ul>{contents}</ul></nav>
 {body}
 </body></html>
 """
@@ -34,11 +38,14 @@ class Page:
     def __init__(self, title: str) -> None:
         self.title = title
         self._parts: list[str] = []
+        self._contents: list[str] = []
         self._figures: list[bytes] = []
 
     def heading(self, text: str, level: int = 2) -> None:
-        """A heading."""
-        self._parts.append(f"<h{level}>{html.escape(text)}</h{level}>")
+        """A heading, which the table of contents lists."""
+        anchor = f"section-{len(self._contents) + 1}"
+        self._contents.append(f'<li class="level{level}"><a href="#{anchor}">{html.escape(text)}</a></li>')
+        self._parts.append(f'<h{level} id="{anchor}">{html.escape(text)}</h{level}>')
 
     def text(self, text: str) -> None:
         """A paragraph."""
@@ -48,19 +55,20 @@ class Page:
         """A table; numbers get four digits."""
         lines = ["".join(f"<th>{html.escape(name)}</th>" for name in header)]
         lines += ["".join(f"<td>{html.escape(_cell(value))}</td>" for value in row) for row in rows]
-        self._parts.append("<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>")
+        table = "".join(f"<tr>{line}</tr>" for line in lines)
+        self._parts.append(f'<div class="wide"><table>{table}</table></div>')
         if note:
             self._parts.append(f'<p class="note">{html.escape(note)}</p>')
 
     def figure(self, figure: Figure, caption: str) -> None:
         """A figure."""
         buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=110)
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
         self._figures.append(buffer.getvalue())
         data = base64.b64encode(buffer.getvalue()).decode()
         text = html.escape(caption)
         self._parts.append(
-            f'<figure><img alt="{text}" src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
+            f'<figure><img alt="{text}" src="data:image/svg+xml;base64,{data}"><figcaption>{text}</figcaption></figure>'
         )
 
     def listing(self, text: str) -> None:
@@ -68,12 +76,16 @@ class Page:
         self._parts.append(f"<pre>{html.escape(text)}</pre>")
 
     def write(self, path: Path) -> Path:
-        """The page on disk; it appears whole or not at all. Its figures are figure_01.png, ... beside it."""
+        """The page on disk; it appears whole or not at all. Its figures are figure_01.svg, ... beside it."""
         for number, data in enumerate(self._figures, 1):
-            with atomic_write(path.with_name(f"figure_{number:02d}.png")) as file:
+            with atomic_write(path.with_name(f"figure_{number:02d}.svg")) as file:
                 file.write(data)
         with atomic_write(path) as file:
-            file.write(_PAGE.format(title=html.escape(self.title), body="\n".join(self._parts)).encode())
+            file.write(
+                _PAGE.format(
+                    title=html.escape(self.title), contents="".join(self._contents), body="\n".join(self._parts)
+                ).encode()
+            )
         path.chmod(0o644)
         return path
 

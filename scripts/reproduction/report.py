@@ -11,6 +11,7 @@ from experiments.study import METHODS as STUDY_METHODS
 
 from kpirl_ocp.irl.cases.tasks import TASKS
 from kpirl_ocp.perception.detector.track_images import image_strips
+from kpirl_ocp.reporting import plus_minus
 from kpirl_ocp.types import Array
 from reproduction import axes, drawing, placing, reaching, robustness
 from reproduction.learning import (
@@ -298,7 +299,7 @@ def _median(outcome: Outcome, condition: str, contender: Contender, closed: bool
 def spread(values: Sequence[Any] | Array) -> str:
     """Mean and standard deviation over seeds; tests of one seed are averaged first."""
     runs = _per_seed(values)
-    return f"{runs.mean():.3g} ± {(runs - runs[0]).std():.2g}" if len(runs) else "not learned"
+    return plus_minus(runs.mean(), (runs - runs[0]).std()) if len(runs) else "not learned"
 
 
 def _per_seed(values: Sequence[Any] | Array) -> Array:

@@ -21,6 +21,7 @@ from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
 from kpirl_ocp.irl.learning.optimisers import Adam, Optimiser, Point
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.pictures import Panel, card, draw, svg
 from kpirl_ocp.types import Array, Demonstration
 
 
@@ -70,7 +71,7 @@ class Learner:
         return LearningState(point, memory, min(state.best, point, key=lambda p: p.loss))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LearningResult:
     """The learned psi and the history of learning.
 
@@ -85,6 +86,23 @@ class LearningResult:
     psis: Array
     seconds: Array
     uncertified: Array
+
+    def panels(self) -> tuple[Panel, Panel]:
+        """Training loss and parameters over the outer iterations, to be drawn."""
+        loss = Panel("training loss", self.losses, xlabel="outer iteration", log=bool((self.losses > 0).all()))
+        names = [f"psi[{i}]" for i in range(self.psis.shape[1])]
+        return loss, Panel("parameters", self.psis, names, xlabel="outer iteration")
+
+    def _repr_html_(self) -> str:
+        uncertified = f"{int((self.uncertified > 0).sum())} of {len(self.losses)}"
+        facts = {"time": f"{self.seconds[-1]:.1f} s", "iterations without certified gradients": uncertified}
+        return card(str(self), facts, svg(draw(self.panels())))
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self}>"
+
+    def __str__(self) -> str:
+        return f"loss {self.losses[0]:.4g} -> {self.loss:.4g} in {len(self.losses) - 1} outer iterations"
 
 
 def learn(

@@ -6,12 +6,13 @@ constraints (LICQ), strict complementarity and a positive reduced Hessian. All o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from kpirl_ocp.errors import CertificateError, ProblemError
+from kpirl_ocp.pictures import card, draw, svg
 from kpirl_ocp.types import Mask, Solution, Status
 
 Policy = Literal["raise", "flag"]
@@ -36,13 +37,22 @@ class Certificate:
     failures: one sentence for every condition that does not hold; empty when the gradient is certified.
     """
 
-    solution: Solution
+    solution: Solution = field(repr=False)
     failures: tuple[str, ...]
 
     @property
     def certified(self) -> bool:
         """True if every condition holds."""
         return not self.failures
+
+    def evidence(self) -> dict[str, float]:
+        """Every single number that was measured, by name."""
+        numbers = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return {name: float(value) for name, value in numbers.items() if isinstance(value, float | np.floating)}
+
+    def _repr_html_(self) -> str:
+        facts = {name.replace("_", " "): f"{value:.2g}" for name, value in self.evidence().items()}
+        return card(str(self), facts, svg(draw(self.solution.panels())))
 
     def __str__(self) -> str:
         return "certified" if self.certified else "NOT certified: " + " ".join(self.failures)
@@ -77,7 +87,7 @@ class SensitivityCertificate(Certificate):
     change: float
     kink: float
     linear_residual: float
-    active: Mask
+    active: Mask = field(repr=False)
     barrier: float
 
 

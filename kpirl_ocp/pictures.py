@@ -1,0 +1,96 @@
+"""The pictures that results show of themselves in a notebook, and the style of all figures.
+
+matplotlib takes as long to import as the rest of the package, so it is loaded when something is drawn.
+"""
+
+from __future__ import annotations
+
+import html
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's palette, legible for colour-blind readers.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+GREY = "#888888"
+
+# Sizes in points for figures of at most PAGE inches, which are shown as wide as they are.
+PAGE = 10.0
+STYLE: Mapping[str, Any] = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.labelsize": 9,
+    "legend.fontsize": 8,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "grid.alpha": 0.3,
+    "lines.linewidth": 1.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.prop_cycle": "cycler('color', ['{}'])".format("', '".join(COLOURS)),
+    "svg.hashsalt": "kpirl_ocp",  # the same figure gives the same file
+}
+_MOST_LINES = 10  # with a legend entry each
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Numbers over time: values (n, k), a line each.
+
+    names: (k,) of the lines. stairs: values hold until the next step, as actions do. log: logarithmic values.
+    """
+
+    title: str
+    values: NDArray[np.float64]
+    names: Sequence[str] = ()
+    xlabel: str = "time step t"
+    stairs: bool = False
+    log: bool = False
+
+
+def draw(panels: Sequence[Panel], width: float = 3.6, height: float = 2.5) -> Figure:
+    """One set of axes per panel, side by side."""
+    matplotlib, figures = import_module("matplotlib"), import_module("matplotlib.figure")
+    with matplotlib.rc_context(dict(STYLE)):
+        figure: Figure = figures.Figure(figsize=(width * len(panels), height), layout="constrained")
+        for axes, panel in zip(np.ravel(figure.subplots(1, len(panels))), panels, strict=True):
+            _draw_panel(axes, panel)
+    return figure
+
+
+def _draw_panel(axes: Axes, panel: Panel) -> None:
+    values = np.asarray(panel.values, float).reshape(len(panel.values), -1)
+    names = list(panel.names) or [f"{panel.title[0]}{i}" for i in range(values.shape[1])]
+    for index, (line, name) in enumerate(zip(values.T, names, strict=True)):
+        style = {"color": COLOURS[index % len(COLOURS)], "ls": ("-", "--", ":")[index // len(COLOURS) % 3]}
+        if panel.stairs:
+            axes.stairs(line, label=name, baseline=None, **style)
+        else:
+            axes.plot(line, label=name, **style)
+    axes.grid(True)
+    axes.set(title=panel.title, xlabel=panel.xlabel, yscale="log" if panel.log else "linear")
+    if 1 < values.shape[1] <= _MOST_LINES:
+        axes.legend(ncols=2 if values.shape[1] > 4 else 1)
+
+
+def svg(figure: Figure) -> str:
+    """The figure as an element to put into a page; it shrinks with the page."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :].replace("<svg ", '<svg style="max-width: 100%; height: auto" ', 1)
+
+
+def card(headline: str, facts: Mapping[str, str], picture: str) -> str:
+    """HTML: a headline, a table of facts, and a picture."""
+    rows = "".join(f"<tr><td>{html.escape(k)}</td><td>{html.escape(v)}</td></tr>" for k, v in facts.items())
+    return f"<div><strong>{html.escape(headline)}</strong><table>{rows}</table>{picture}</div>"

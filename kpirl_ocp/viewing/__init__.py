@@ -1,0 +1,1 @@
+"""Results to look at: figures, an arm in the browser, videos and recordings of its plan."""

@@ -1,0 +1,69 @@
+"""`plot(result)`: a figure of a solution, of learning, or of a certificate."""
+
+from __future__ import annotations
+
+from functools import singledispatch
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.irl.learning.learn import LearningResult
+from kpirl_ocp.ocp.problem.ocp import OCP, Bounds
+from kpirl_ocp.ocp.sensitivity.certificate import Certificate
+from kpirl_ocp.pictures import COLOURS, draw
+from kpirl_ocp.types import Solution
+
+
+@singledispatch
+def plot(result: object, problem: OCP | None = None) -> Figure:
+    """A figure of a result; `figure.savefig("plan.svg")` writes it, a notebook shows it.
+
+    Args:
+        result: a `Solution` (states and actions over time), a `LearningResult` (loss and parameters over the outer
+            iterations), or a `Certificate` (the solution that was differentiated, under its verdict).
+        problem: of a solution; its finite bounds are drawn as well.
+
+    Raises:
+        ProblemError: nothing is known about how to draw this.
+    """
+    kinds = "a Solution, a LearningResult or a Certificate"
+    raise ProblemError(f"plot draws {kinds}, not a {type(result).__name__}.")
+
+
+@plot.register
+def _(result: Solution, problem: OCP | None = None) -> Figure:
+    figure = draw(result.panels())
+    figure.suptitle(f"{result.status.name}, objective {result.objective:.6g}", fontsize=10)
+    if problem is not None:
+        _draw_bounds(figure.axes[0], problem.state_bounds, stairs=False)
+        _draw_bounds(figure.axes[1], problem.action_bounds, stairs=True)
+    return figure
+
+
+@plot.register
+def _(result: LearningResult, problem: OCP | None = None) -> Figure:
+    figure = draw(result.panels())
+    figure.suptitle(str(result), fontsize=10)
+    return figure
+
+
+@plot.register
+def _(result: Certificate, problem: OCP | None = None) -> Figure:
+    figure = plot(result.solution, problem)
+    figure.suptitle(str(result), fontsize=9, wrap=True)
+    return figure
+
+
+def _draw_bounds(axes: Axes, bounds: Bounds, stairs: bool) -> None:
+    """The finite ones of bounds (n, k), dashed in the colours of what they bound."""
+    for bound in bounds:
+        for index, column in enumerate(np.asarray(bound, float).T):
+            style = {"color": COLOURS[index % len(COLOURS)], "linestyle": "--", "linewidth": 0.8, "zorder": 1}
+            if not np.isfinite(column).any():
+                continue
+            if stairs:
+                axes.stairs(column, baseline=None, **style)
+            else:
+                axes.plot(column, **style)

@@ -1,0 +1,137 @@
+"""Results show a picture, not a wall of numbers; figures have one style and true labels."""
+
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from kpirl_ocp import LBFGS, OCP, Demonstration, Implicit, Riccati, learn
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.figures import colours, new_figure, wrapped_figure
+from kpirl_ocp.pictures import COLOURS, GREY, PAGE
+from kpirl_ocp.reporting import plus_minus
+from kpirl_ocp.viewing.plots import plot
+
+
+@pytest.fixture(scope="module")
+def problem():
+    s, u, psi = ca.SX.sym("s", 2), ca.SX.sym("u"), ca.SX.sym("psi", 2)
+    return OCP.from_expressions(
+        state=s,
+        action=u,
+        parameters=psi,
+        horizon=12,
+        dynamics=s + 0.2 * ca.vertcat(s[1], u),
+        stage_cost=psi[0] * (s[0] - 1) ** 2 + psi[1] * u**2,
+        terminal_cost=10 * (s[0] - 1) ** 2,
+        action_bounds=(-1, 2),
+    )
+
+
+@pytest.fixture(scope="module")
+def solution(problem):
+    return Riccati().solve(problem, [0, 0], [1, 0.1])
+
+
+@pytest.fixture(scope="module")
+def results(problem, solution):
+    """Every kind of result that has a picture."""
+    seen = Demonstration([0, 0], [], Riccati().solve(problem, [0, 0], [2, 0.1]).states)
+    certificate = Implicit()(problem, seen, [1, 0.1]).certificate
+    learning = learn(problem, [seen], [1, 0.1], Implicit(), LBFGS(), steps=3, progress=False)
+    return {"solution": solution, "certificate": certificate, "learning": learning}
+
+
+KINDS = ("solution", "certificate", "learning")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_notebook_shows_a_picture_that_any_browser_draws(results, kind):
+    page = results[kind]._repr_html_()
+    (picture,) = re.findall(r"<svg.*</svg>", page, flags=re.DOTALL)
+    assert ET.fromstring(picture).tag.endswith("svg")
+    assert "array(" not in page
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_a_console_prints_is_short(results, kind):
+    assert len(repr(results[kind])) < 500
+    assert "array(" not in repr(results[kind])
+
+
+def test_the_picture_of_a_certificate_says_what_was_measured(results):
+    page = results["certificate"]._repr_html_()
+    assert ">certified<" in page
+    for name, value in results["certificate"].evidence().items():
+        assert f"<td>{name.replace('_', ' ')}</td><td>{value:.2g}</td>" in page
+    assert results["certificate"].evidence()["kkt_residual"] == results["certificate"].kkt_residual
+
+
+def test_a_plotted_solution_is_the_solution_with_its_bounds(problem, solution):
+    states, actions = plot(solution, problem).axes
+    for line, values in zip(states.lines, solution.states.T, strict=True):
+        np.testing.assert_array_equal(line.get_ydata(), values)
+    steps, lower, upper = (patch.get_data() for patch in actions.patches)
+    np.testing.assert_array_equal(steps.values, solution.actions[:, 0])
+    np.testing.assert_array_equal(lower.values, np.full(12, -1.0))
+    np.testing.assert_array_equal(upper.values, np.full(12, 2.0))
+    assert len(plot(solution).axes[1].patches) == 1
+
+
+def test_plotted_learning_is_its_loss_and_its_parameters(results):
+    learning = results["learning"]
+    loss, parameters = plot(learning).axes
+    np.testing.assert_array_equal(loss.lines[0].get_ydata(), learning.losses)
+    for line, values in zip(parameters.lines, learning.psis.T, strict=True):
+        np.testing.assert_array_equal(line.get_ydata(), values)
+    assert [text.get_text() for text in parameters.get_legend().get_texts()] == ["psi[0]", "psi[1]"]
+
+
+def test_a_plotted_certificate_carries_its_verdict(results, problem):
+    figure = plot(results["certificate"], problem)
+    assert figure.get_suptitle() == "certified"
+
+
+def test_what_has_no_picture_is_refused():
+    with pytest.raises(ProblemError, match="not a list"):
+        plot([1, 2])
+
+
+def test_importing_the_package_does_not_import_matplotlib():
+    check = "import sys, kpirl_ocp; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 8])
+def test_no_figure_is_wider_than_a_page_so_that_its_text_stays_as_it_is(count):
+    for figure, axes in (new_figure(1, count), wrapped_figure(count)):
+        assert figure.get_figwidth() <= PAGE
+        assert len(axes) == count
+
+
+def test_a_cost_has_the_same_colour_in_every_figure():
+    assert colours(["RBF", "Weighted"])["RBF"] == colours(["Weighted", "TimeDep", "RBF", "Default"])["RBF"]
+    assert colours(["Default"]) == {"Default": GREY}
+    chosen = colours(["ours", "Weighted", "theirs", "TimeDep"])
+    assert len(set(chosen.values())) == 4
+    assert set(chosen.values()) <= set(COLOURS)
+
+
+@pytest.mark.parametrize(
+    ("mean", "deviation", "text"),
+    [
+        (175.2, 138.0, "175 ± 140"),
+        (1567.0, 230.4, "1570 ± 230"),
+        (0.0766, 0.00312, "0.0766 ± 0.0031"),
+        (5.5, 4.0, "5.5 ± 4"),
+        (13.0, 0.0, "13 ± 0"),
+        (-2.5e-7, 1e9, "-2.5e-07 ± 1e+09"),
+        (np.nan, 1.0, "nan ± 1"),
+    ],
+)
+def test_mean_and_deviation_are_written_without_exponents_where_they_are_easily_read(mean, deviation, text):
+    assert plus_minus(mean, deviation) == text
