@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED, Bounds
+from kpirl_ocp.ocp.problem.statement.draft import Additions
 from kpirl_ocp.types import Array, Indices, Mask
 
 
@@ -25,6 +26,7 @@ class Dimensions:
     action_bounds: Bounds
     state_bounds: Bounds
     initial_bounds: Bounds | None
+    additions: Additions
 
     @cached_property
     def n_states(self) -> int:
@@ -35,6 +37,16 @@ class Dimensions:
     def n_actions(self) -> int:
         """n_u."""
         return self.dynamics.size1_in(1)
+
+    @cached_property
+    def n_stated_states(self) -> int:
+        """Length of the state without what `from_expressions` has added."""
+        return self.n_states - len(self.additions.states)
+
+    @cached_property
+    def n_stated_actions(self) -> int:
+        """Length of the action without what `from_expressions` has added."""
+        return self.n_actions - self.additions.slacks
 
     @cached_property
     def n_parameters(self) -> int:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.problem.dimensions import Dimensions
+from kpirl_ocp.ocp.problem.arrays import Arrays
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
 from kpirl_ocp.ocp.problem.statement.checks import (
     UNBOUNDED,
@@ -31,16 +31,16 @@ from kpirl_ocp.ocp.problem.statement.checks import (
     bounds_of,
     check_function,
     horizon_of,
-    matrix,
     schedule_of,
-    vector,
 )
-from kpirl_ocp.ocp.problem.statement.expressions import state_functions
-from kpirl_ocp.types import Array, Trajectory
+from kpirl_ocp.ocp.problem.statement.complete import complete
+from kpirl_ocp.ocp.problem.statement.draft import Additions, Draft
+from kpirl_ocp.ocp.problem.statement.soft import Soft
+from kpirl_ocp.types import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class OCP(Dimensions):
+class OCP(Arrays):
     """An optimal-control problem in stage functions (`ca.Function`, SX or MX).
 
     dynamics: f(s, u, psi, c, d) -> s_next (n_s,); f(s, u, psi) is accepted, too, and given the other two.
@@ -58,6 +58,7 @@ class OCP(Dimensions):
         is given by the argument s0, whatever their value. None: all of s_0 is given.
     schedule: (T+1, n_d), row t is d_t.
     derivatives: of dynamics that depend on neither c nor d, where something better than CasADi's AD is known.
+    additions: the last states and actions that `from_expressions` has added, for static decisions and soft constraints.
 
     Raises ProblemError when dimensions disagree. `OCP.from_expressions` builds one from symbols.
     """
@@ -76,6 +77,7 @@ class OCP(Dimensions):
     terminal_constraint: ca.Function | None = field(default=None, kw_only=True)
     terminal_equality: ca.Function | None = field(default=None, kw_only=True)
     initial_bounds: Bounds | None = field(default=None, kw_only=True)
+    additions: Additions = field(default=Additions(), kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "horizon", horizon_of(self.horizon))
@@ -113,14 +115,28 @@ class OCP(Dimensions):
         state_bounds: Bounds = UNBOUNDED,
         initial_bounds: Bounds | None = None,
         schedule: ArrayLike | None = None,
+        static: ca.MX | ca.SX | None = None,
+        static_bounds: Bounds = UNBOUNDED,
+        soft: Soft | None = None,
     ) -> OCP:
         """State a problem in CasADi expressions of the symbols state, action, parameters, context and stage (d_t).
 
         Symbols that do not occur may be left out, an action too. All must be of one kind, SX or MX.
+
+        Args:
+            action_bounds, state_bounds, initial_bounds: as in `OCP`, or expressions of parameters, context, stage and
+                static; these become rows of the path constraint, so that they are differentiated.
+            static: q (n_q,), decisions that do not change over the horizon, for use in every expression; they are
+                added to the state (`static_of` reads them). s0 may be given without them.
+            static_bounds: (lower, upper) of q, each a number or (n_q,).
+            soft: a constraint that may be violated at a price; its slacks are added to the actions, and one for every
+                row on states alone to the state (`stated` leaves them out).
         """
         symbols = {"state": state, "action": action, "parameters": parameters, "context": context, "stage": stage}
-        functions = state_functions(
+        draft = Draft(
             symbols,
+            horizon,
+            schedule,
             dynamics=dynamics,
             stage_cost=stage_cost,
             terminal_cost=terminal_cost,
@@ -130,21 +146,19 @@ class OCP(Dimensions):
             terminal_equality=terminal_equality,
             observation=observation,
         )
-        return cls(
-            **functions,
-            horizon=horizon,
-            action_bounds=action_bounds,
-            state_bounds=state_bounds,
-            initial_bounds=initial_bounds,
-            schedule=schedule,
-        )
+        return cls(**complete(draft, action_bounds, state_bounds, initial_bounds, static, static_bounds, soft))
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields, without what was derived from them."""
         return {name: self.__dict__[name] for name in self.__dataclass_fields__}
 
     def unconstrained(self) -> OCP:
-        """The same problem without bounds and constraints other than the dynamics, as in the paper."""
+        """The same problem without bounds and constraints other than the dynamics, as in the paper.
+
+        Raises ProblemError where slacks of a soft constraint would be left without it.
+        """
+        if self.additions.slacks:
+            raise ProblemError("state the problem without `soft` to leave its constraints out: its slacks need bounds.")
         return replace(
             self,
             path_constraint=None,
@@ -227,22 +241,6 @@ class OCP(Dimensions):
         numbers = self.inputs(s0, psi, () if context is None else context)
         states = self.rollout(numbers[0], actions.T, *numbers[1:])
         return Trajectory(np.array(states).T, actions)
-
-    def inputs(self, s0: ArrayLike, psi: ArrayLike, context: ArrayLike) -> tuple[Array, Array, Array]:
-        """The three as float64 vectors. Raises ProblemError when a length is wrong."""
-        return (
-            vector("s0", s0, self.n_states),
-            vector("psi", psi, self.n_parameters),
-            vector("context", context, self.n_context),
-        )
-
-    def as_actions(self, actions: ArrayLike) -> Array:
-        """Actions as a float64 array (T, n_u). Raises ProblemError for another shape."""
-        return matrix("actions", "(T, n_u)", actions, (self.horizon, self.n_actions))
-
-    def as_states(self, states: ArrayLike) -> Array:
-        """States as a float64 array (T+1, n_s). Raises ProblemError for another shape."""
-        return matrix("states", "(T+1, n_s)", states, (self.horizon + 1, self.n_states))
 
     def _check_signatures(self, n_schedule: int) -> None:
         """Raise ProblemError when a function does not fit the others; dynamics of three inputs become ones of five."""

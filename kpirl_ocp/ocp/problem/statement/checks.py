@@ -29,7 +29,7 @@ def numbers(name: str, value: ArrayLike) -> Array:
     try:
         return np.asarray(value, float)
     except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError) as error:
-        raise ProblemError(f"{name} must be an array of numbers, got {_shown(value)}.") from error
+        raise ProblemError(f"{name} must be an array of numbers, got {shown(value)}.") from error
 
 
 def vector(name: str, value: ArrayLike, *lengths: int) -> Array:
@@ -81,7 +81,7 @@ def bounds_of(name: str, bounds: Bounds, shape: tuple[int, ...]) -> tuple[Array,
 def check_function(name: str, function: object, sizes: tuple[int, ...], length: int | None) -> None:
     """Raise ProblemError unless columns of these sizes go in and one column (of this length, if any) comes out."""
     if not isinstance(function, ca.Function):
-        raise ProblemError(f"{name} must be a casadi.Function, got {_shown(function)}.")
+        raise ProblemError(f"{name} must be a casadi.Function, got {shown(function)}.")
     found = tuple(function.size1_in(i) for i in range(function.n_in()))
     columns = all(function.size2_in(i) == 1 for i in range(function.n_in()))
     one = function.n_out() == 1 and function.size2_out(0) == 1
@@ -97,7 +97,8 @@ def _one_row(bound: Array) -> Array:
     return bound[0] if bound.ndim == 2 and len(bound) and (bound == bound[:1]).all() else bound
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """A value for a message, cut where it is long."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

@@ -2,79 +2,111 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
+import numpy as np
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.statement.checks import shown
+from kpirl_ocp.types import Array
 
 Expression: TypeAlias = "ca.MX | ca.SX"
+Symbols = Mapping[str, Sequence[Expression]]
+"""The symbols of every argument: state, action, parameters, context, stage; each may have several."""
+
+_SHORT = {"state": "s", "action": "u", "parameters": "psi", "context": "c", "stage": "d"}
 _STAGE = ("state", "action", "parameters", "context", "stage")
 _END = ("state", "parameters", "context", "stage")
-_SEEN = {
+SEEN = {
     "dynamics": _STAGE,
     "stage_cost": _STAGE,
-    "terminal_cost": _END,
     "path_constraint": _STAGE,
     "path_equality": _STAGE,
+    "terminal_cost": _END,
     "terminal_constraint": _END,
     "terminal_equality": _END,
     "observation": ("state",),
 }
+"""The arguments that each stage function has."""
 
 
-def state_functions(
-    symbols: Mapping[str, Expression | None], **expressions: Expression | float | None
-) -> dict[str, ca.Function | None]:
-    """A function of every expression, of the symbols that it may depend on; None stays None.
-
-    symbols: state, action, parameters, context and stage; None for those that there are not.
-
-    Raises ProblemError for symbols that are no columns of symbols, and for expressions of other symbols.
-    """
-    kind = type(symbols["state"])
+def symbols_of(**given: Expression | None) -> dict[str, list[Expression]]:
+    """Checked symbols by argument; an empty one where there is none. All are of the kind of the state, SX or MX."""
+    kind = type(given["state"])
     if kind not in (ca.SX, ca.MX):
-        raise ProblemError(f"state must be a symbol, casadi.SX.sym or casadi.MX.sym, got {symbols['state']!r}.")
-    known = {name: _symbol(name, symbol, kind) for name, symbol in symbols.items()}
-    return {
-        name: None if value is None else _function(name, value, {role: known[role] for role in _SEEN[name]}, kind)
-        for name, value in expressions.items()
-    }
+        raise ProblemError(f"state must be a symbol, casadi.SX.sym or casadi.MX.sym, got {shown(given['state'])}.")
+    return {name: [_symbol(name, symbol, kind)] for name, symbol in given.items()}
 
 
 def _symbol(name: str, symbol: Expression | None, kind: Any) -> Expression:
     if symbol is None:
         return kind.sym(name, 0)
     if type(symbol) is not kind:
-        raise ProblemError(f"{name} must be of the kind of the state, casadi.{kind.__name__}, got {symbol!r}.")
+        raise ProblemError(f"{name} must be of the kind of the state, casadi.{kind.__name__}, got {shown(symbol)}.")
     if not symbol.is_valid_input() or (symbol.size2() != 1 and symbol.numel()):
-        raise ProblemError(f"{name} must be a column of symbols, got {symbol!r} of shape {symbol.shape}.")
+        raise ProblemError(f"{name} must be a column of symbols, got {shown(symbol)} of shape {symbol.shape}.")
     return symbol
 
 
-def _function(name: str, value: Expression | float, symbols: Mapping[str, Expression], kind: Any) -> ca.Function:
+def expression_of(name: str, value: Expression | float, kind: Any) -> Expression:
+    """A value as an expression of this kind. Raises ProblemError for anything else."""
     try:
-        expression = kind(value)
-    except (NotImplementedError, TypeError) as error:
-        raise ProblemError(f"{name} must be a casadi.{kind.__name__} like the state, got {value!r}.") from error
-    strangers = strange(expression, symbols)
+        return kind(value)
+    except (NotImplementedError, TypeError, RuntimeError) as error:
+        raise ProblemError(f"{name} must be a casadi.{kind.__name__} like the state, got {shown(value)}.") from error
+
+
+def function_of(name: str, expression: Expression, symbols: Symbols) -> ca.Function:
+    """The function of an expression, with one column for every argument of `SEEN`.
+
+    Raises ProblemError for an expression of other symbols, and names them.
+    """
+    parts = {argument: symbols[argument] for argument in SEEN[name]}
+    strangers = strange(expression, [symbol for own in parts.values() for symbol in own])
     if strangers:
         raise ProblemError(
             f"{name} depends on {', '.join(strangers)}: its symbols are not among those passed in that it may depend "
-            f"on ({', '.join(symbols)})."
+            f"on ({', '.join(parts)})."
         )
     try:
-        return ca.Function(name, list(symbols.values()), [expression])
+        inner = ca.Function(name, [symbol for own in parts.values() for symbol in own], [expression])
     except RuntimeError as error:
         raise ProblemError(f"{name} makes no function; CasADi says: {str(error).splitlines()[-1]}") from error
+    kind = type(expression)
+    inputs = [kind.sym(_SHORT[argument], sum(map(_length, own))) for argument, own in parts.items()]
+    split = [part for column, own in zip(inputs, parts.values(), strict=True) for part in _split(column, own)]
+    names = [_SHORT[argument] for argument in parts]
+    return ca.Function(name, inputs, inner.call(split, True, False), names, [name])
 
 
-def strange(expression: Expression, symbols: Mapping[str, Expression]) -> list[str]:
+def depends(expression: Expression, *symbols: Expression) -> list[bool]:
+    """Which rows of a column depend on any of these symbols."""
+    found = [ca.which_depends(expression, symbol, 1, True) for symbol in symbols if symbol.numel()]
+    return [any(row) for row in zip(*found, strict=True)] if found else [False] * expression.numel()
+
+
+def values_of(expression: Expression) -> Array | None:
+    """The numbers of a column that depends on no symbol, else None."""
+    return None if ca.symvar(expression) else np.array(ca.evalf(ca.densify(expression))).ravel()
+
+
+def strange(expression: Expression, symbols: Iterable[Expression]) -> list[str]:
     """Names of the symbols in an expression that are not among these."""
-    known = {_identity(part) for symbol in symbols.values() for part in ca.symvar(symbol)}
-    return [part.name() for part in ca.symvar(expression) if _identity(part) not in known]
+    known = {identity(part) for symbol in symbols for part in ca.symvar(symbol)}
+    return [part.name() for part in ca.symvar(expression) if identity(part) not in known]
 
 
-def _identity(symbol: Expression) -> int:
+def identity(symbol: Expression) -> int:
+    """A number that two handles of the same symbol share."""
     return int(symbol.element_hash() if isinstance(symbol, ca.SX) else symbol.__hash__())
+
+
+def _split(column: Expression, parts: Sequence[Expression]) -> list[Expression]:
+    pieces = ca.vertsplit(column, np.cumsum([0, *map(_length, parts)]).tolist())
+    return [ca.reshape(piece, *part.shape) for piece, part in zip(pieces, parts, strict=True)]
+
+
+def _length(symbol: Expression) -> int:
+    return int(symbol.numel())
