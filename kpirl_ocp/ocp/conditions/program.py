@@ -15,10 +15,18 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.problem.layout import given, limits, unpack
+from kpirl_ocp.ocp.problem.layout import (
+    equality_multipliers,
+    given,
+    inequality_multipliers,
+    limits,
+    live_equalities,
+    live_inequalities,
+    unpack,
+)
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
-from kpirl_ocp.types import Array, Trajectory
+from kpirl_ocp.types import Array, Mask, Multipliers, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +36,29 @@ class Program:
     symbols: w, psi, c.
     values: -> J, g_E (n_eq,), g_I (n_ineq,).
     first: also of (lambda (n_eq,), mu (n_ineq,)) -> gradient of J, and of J + lambda.g_E + mu.g_I, by w.
+    live: (n_eq,) and (n_ineq,) True for rows that are not switched off.
     """
 
     symbols: list[ca.MX]
     values: ca.Function
     first: ca.Function
+    live: tuple[Mask, Mask]
+
+    @property
+    def rows(self) -> ca.MX:
+        """g, the live rows of g_E and then of g_I: an expression of the symbols."""
+        _, *parts = self.values(*self.symbols)
+        return ca.vertcat(*(part[np.flatnonzero(on).tolist()] for part, on in zip(parts, self.live, strict=True)))
+
+    @property
+    def lower(self) -> Array:
+        """Lower bounds of g, zero or minus infinity; the upper ones are all zero."""
+        return np.repeat([0.0, -np.inf], [on.sum() for on in self.live])
+
+    def multipliers(self, known: Multipliers) -> Array:
+        """(lambda, mu) of the live rows."""
+        parts = equality_multipliers(known), inequality_multipliers(known)
+        return np.concatenate([part[on] for part, on in zip(parts, self.live, strict=True)])
 
 
 @lru_cache(maxsize=64)
@@ -60,6 +86,7 @@ def transcribe(problem: OCP) -> Program:
         symbols=symbols,
         values=ca.Function("values", symbols, [ca.densify(x) for x in (objective, g_E, g_I)]),
         first=ca.Function("first", [*symbols, lam, mu], slopes),
+        live=(live_equalities(problem), live_inequalities(problem)),
     )
 
 

@@ -17,13 +17,14 @@ from kpirl_ocp.types import Array, Indices, Mask
 class BoundRows:
     """Finite lower bounds, then finite upper bounds, as signs * (limits - w[entries]) >= 0; all (n_bounds,).
 
-    twice: True where the other side is bounded, too. equal: where it coincides. n_lower: how many are lower bounds.
+    other: the row of the other side, or the row itself where that is not bounded. equal: True where both coincide.
+    n_lower: how many are lower bounds.
     """
 
     entries: Indices
     signs: Array
     limits: Array
-    twice: Mask
+    other: Indices
     equal: Mask
     n_lower: int
 
@@ -31,15 +32,24 @@ class BoundRows:
     def of(cls, lower: Array, upper: Array) -> BoundRows:
         """Of bounds (n_w,), infinite where there is none."""
         low, high = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
-        entries = np.concatenate([low, high])
+        entries, rows = np.concatenate([low, high]), np.arange(len(low) + len(high))
+        places, other = np.full((2, len(lower)), -1), rows.copy()
+        places[0, low], places[1, high] = rows[: len(low)], rows[len(low) :]
+        both = places[:, (places >= 0).all(axis=0)]
+        other[both] = both[::-1]
         return cls(
             entries=entries,
             signs=np.repeat([-1.0, 1.0], [len(low), len(high)]),
             limits=np.concatenate([lower[low], upper[high]]),
-            twice=np.bincount(entries, minlength=len(lower))[entries] > 1,
+            other=other,
             equal=(lower == upper)[entries],
             n_lower=len(low),
         )
+
+    @property
+    def twice(self) -> Mask:
+        """True where the other side is bounded, too."""
+        return self.other != np.arange(len(self.other))
 
     def slack(self, w: Array) -> Array:
         """Distances (n_bounds,) from the bounds at w (n_w,); negative beyond them."""
@@ -70,13 +80,15 @@ class Inequalities:
     def forces(self, nu: Array, mu: Array, barrier: float) -> Array:
         """Multipliers (n_rows,) of all rows from those of the bounds (n_w,) and of g (n_g,).
 
-        With a barrier both sides of a bound push, and only their difference is known: there they follow from the
-        slack, tau / slack, and a disagreement shows up in the stationarity.
+        Of two sides the force is on the one that pushes. With a barrier both push, and only their difference is known:
+        the further one pushes with tau / slack, the nearer one with the rest.
         """
         at = self.bounds
-        forces = at.signs * nu[at.entries]
-        forces = np.where(at.twice, np.maximum(forces, 0.0), forces)
+        net, slack = at.signs * nu[at.entries], self.slack[: len(at.entries)]
+        forces = np.where(at.twice, np.maximum(net, 0.0), net)
         if barrier > 0:
             with np.errstate(divide="ignore"):
-                forces = np.where(at.equal, forces, barrier / self.slack[: len(forces)])
+                push = barrier / slack
+            both = np.where(slack > slack[at.other], push, net + push[at.other])
+            forces = np.where(at.twice & ~at.equal, both, forces)
         return np.concatenate([forces, mu])

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED, Bounds
 from kpirl_ocp.ocp.problem.statement.draft import Additions
+from kpirl_ocp.ocp.problem.statement.live_rows import live_rows
 from kpirl_ocp.types import Array, Indices, Mask
+
+
+class Live(NamedTuple):
+    """True for rows of constraints that the schedule does not switch off, as d_t = 0 does with a row d_t g."""
+
+    path: Mask
+    path_equality: Mask
+    terminal: Mask
+    terminal_equality: Mask
 
 
 class Dimensions:
@@ -27,6 +39,7 @@ class Dimensions:
     state_bounds: Bounds
     initial_bounds: Bounds | None
     additions: Additions
+    schedule: ArrayLike | None
 
     @cached_property
     def n_states(self) -> int:
@@ -133,6 +146,17 @@ class Dimensions:
         rows = parts[0](s, kind.zeros(self.n_actions), *numbers)[self.state_rows.tolist()]
         own = [part(s, *numbers) for part in parts[1:]]
         return ca.Function("terminal_inequality", [s, *numbers], [ca.vertcat(rows, *own)])
+
+    @cached_property
+    def live(self) -> Live:
+        """(T, n_h), (T, n_e), (n_gT,) and (n_eT,); rows that are not live constrain nothing, solvers leave them out."""
+        d = np.asarray(self.schedule, float)
+        return Live(
+            live_rows(self.path_constraint, d[:-1]),
+            live_rows(self.path_equality, d[:-1]),
+            live_rows(self.terminal_inequality, d[-1:])[0],
+            live_rows(self.terminal_equality, d[-1:])[0],
+        )
 
     @cached_property
     def dynamics_see_stage(self) -> bool:

@@ -59,7 +59,11 @@ def bound_multipliers(multipliers: Multipliers) -> Array:
 
 
 def unpack_multipliers(problem: OCP, nu: Array, lam: Array, mu: Array) -> Multipliers:
-    """The multipliers of bounds, equalities and inequalities as named arrays; zero for given entries of s_0."""
+    """The multipliers of bounds, equalities and inequalities as named arrays.
+
+    Zero for given entries of s_0. lam and mu may be those of live rows alone; then the others are zero, too.
+    """
+    lam, mu = _spread(lam, live_equalities(problem)), _spread(mu, live_inequalities(problem))
     steps = problem.horizon
     bounds = unpack(problem, np.where(given(problem), 0.0, nu))
     dynamics, path_equality, terminal_equality = _split(
@@ -77,14 +81,24 @@ def unpack_multipliers(problem: OCP, nu: Array, lam: Array, mu: Array) -> Multip
     )
 
 
-def n_equalities(problem: OCP) -> int:
-    """Length of lambda."""
-    return problem.horizon * (problem.n_states + problem.n_path_equality) + problem.n_terminal_equality
+def live_equalities(problem: OCP) -> Mask:
+    """(n_eq,) True for the entries of lambda whose rows are not switched off, see `OCP.live`."""
+    dynamics = np.ones(problem.horizon * problem.n_states, bool)
+    return np.concatenate([dynamics, problem.live.path_equality.ravel(), problem.live.terminal_equality])
 
 
-def n_inequalities(problem: OCP) -> int:
-    """Length of mu."""
-    return problem.horizon * problem.n_path + problem.n_terminal
+def live_inequalities(problem: OCP) -> Mask:
+    """(n_ineq,) the same of mu."""
+    return np.concatenate([problem.live.path.ravel(), problem.live.terminal])
+
+
+def _spread(values: Array, live: Mask) -> Array:
+    """Values (n,) or those of the live rows, as (n,)."""
+    if len(values) == len(live):
+        return values
+    spread = np.zeros(len(live))
+    spread[live] = values
+    return spread
 
 
 def _split(vector: Array, *shapes: tuple[int, ...]) -> list[Array]:

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.problem.arrays import Arrays
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
+from kpirl_ocp.ocp.problem.statement.arrays import Arrays
 from kpirl_ocp.ocp.problem.statement.checks import (
     UNBOUNDED,
     Bounds,
@@ -36,6 +36,7 @@ from kpirl_ocp.ocp.problem.statement.checks import (
 from kpirl_ocp.ocp.problem.statement.complete import complete
 from kpirl_ocp.ocp.problem.statement.draft import Additions, Draft
 from kpirl_ocp.ocp.problem.statement.soft import Soft
+from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.types import Trajectory
 
 
@@ -231,6 +232,7 @@ class OCP(Arrays):
         """A terminal function (s, psi, c, d) -> (n,) at s_T of S; (0,) for None."""
         return ca.MX(0, 1) if function is None else function(states[:, -1], psi, c, self.stages[:, -1])
 
+    @one_at_a_time
     def simulate(
         self, s0: ArrayLike, actions: ArrayLike, psi: ArrayLike = (), context: ArrayLike | None = None
     ) -> Trajectory:

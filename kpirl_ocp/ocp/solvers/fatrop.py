@@ -1,23 +1,28 @@
 """Fatrop on the stage-ordered program (Vanroye, Sathya, De Schutter and Decre, 2023): another structured solver.
 
 Unknowns x = (s_0, u_0, s_1, u_1, .. s_T); constraints stage by stage, in the order that CasADi's interface asks for:
-s_{t+1} - f(s_t, u_t) = 0, at t = 0 the given s_0, then h(s_t, u_t) <= 0.
+s_{t+1} - f(s_t, u_t) = 0, at t = 0 the given entries of s_0, then e(s_t, u_t) = 0 and h(s_t, u_t) <= 0; at the end
+e_T(s_T) = 0 and g_T(s_T) <= 0.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
+from kpirl_ocp.ocp.conditions.feasibility import infeasible
+from kpirl_ocp.ocp.conditions.program import starting_point, trajectory_of
+from kpirl_ocp.ocp.problem.layout import pack, unpack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.scope import refuse_features
-from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
+from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.types import Array, Mask, Multipliers, Solution, Status, Trajectory
 
 _STATUS = {
@@ -30,7 +35,7 @@ _STATUS = {
 
 @dataclass(frozen=True)
 class Fatrop:
-    """Interior-point solver with exact Hessian on the stage structure; bounds and path constraints.
+    """Interior-point solver with exact Hessian on the stage structure, for every problem.
 
     A guess hands over its states and actions; Fatrop does not take multipliers. It moves every bound outwards by 1e-8
     (a setting that CasADi does not pass on), and the residuals show that: `Riccati` and `Ipopt` are more accurate.
@@ -46,112 +51,139 @@ class Fatrop:
         if not self.tolerance > 0 or self.max_iterations < 1:
             raise ProblemError("Fatrop needs tolerance > 0 and max_iterations >= 1.")
 
+    @one_at_a_time
     def solve(
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:
         """Solve; see `Solver.solve`."""
         start, psi, context = problem.inputs(s0, psi, context)
-        refuse_features(problem, "Fatrop")
-        solver, equality = _build(problem, self)
-        if guess is None:
-            guess = problem.simulate(start, guess_actions(problem, None), psi)
-        lower, upper = (_in_stages(np.vstack([free, side[0]]), side[1]) for free, side in _bounds(problem))
-        result = solver(
-            x0=_in_stages(problem.as_states(guess.states), problem.as_actions(guess.actions)),
+        program = _build(problem, self)
+        w = starting_point(problem, start, psi, context, guess)
+        lower, upper = (_in_stages(*pair) for pair in zip(problem.limits, problem.action_bounds, strict=True))
+        result = program.solver(
+            x0=_in_stages(*vars(unpack(problem, w)).values()),
             p=np.concatenate([start, psi, context]),
             lbx=lower,
             ubx=upper,
-            lbg=np.where(equality, 0.0, -np.inf),
+            lbg=np.where(program.inequality, -np.inf, 0.0),
             ubg=0.0,
         )
-        return self._solution(problem, start, psi, context, result, solver.stats(), equality)
+        return self._solution(problem, start, psi, context, result, program)
 
     def _solution(
-        self,
-        problem: OCP,
-        s0: Array,
-        psi: Array,
-        context: Array,
-        result: dict[str, ca.DM],
-        stats: dict[str, object],
-        equality: Mask,
+        self, problem: OCP, s0: Array, psi: Array, context: Array, result: dict[str, ca.DM], program: _Program
     ) -> Solution:
-        states, actions = _by_kind(problem, np.array(result["x"]).ravel())
-        trajectory = Trajectory(np.vstack([s0, states[1:]]), actions)
-        on_states, on_actions = _by_kind(problem, np.array(result["lam_x"]).ravel())
-        forces = np.array(result["lam_g"]).ravel()
-        rows = np.where(equality)[0].reshape(problem.horizon + 1, problem.n_states)  # of stage 0 twice: f, then s_0
-        multipliers = Multipliers.of_given_start(
-            dynamics=-forces[np.delete(rows, 1, axis=0)],  # the constraint is s_next - f
-            state=on_states[1:],
-            action=on_actions,
-            path=forces[~equality].reshape(problem.horizon, problem.n_path),
-        )
+        trajectory = trajectory_of(problem, pack(_by_kind(problem, np.array(result["x"]).ravel())), s0)
+        multipliers = program.multipliers(problem, *(np.array(result[name]).ravel() for name in ("lam_x", "lam_g")))
         residuals = audit(problem, psi, context, trajectory, multipliers)
-        word = str(stats.get("unified_return_status", "SOLVER_RET_UNKNOWN"))
-        limited = int(str(stats.get("iter_count", 0))) >= self.max_iterations and not stats["success"]
-        status = Status.ITERATION_LIMIT if limited else _STATUS.get(word, Status.FAILED)
-        if not np.isfinite(residuals.worst):
-            status = Status.NOT_FINITE
+        stats = program.solver.stats()
+        word, iterations = (
+            str(stats.get("unified_return_status", "SOLVER_RET_UNKNOWN")),
+            int(stats.get("iter_count", 0)),
+        )
+        status = self._status(word, iterations, residuals.worst)
+        if status is Status.FAILED and infeasible(problem, pack(trajectory), s0, psi, context):
+            status = Status.INFEASIBLE
         return Solution(
             trajectory=trajectory,
             multipliers=multipliers,
             objective=float(result["f"]),
             residuals=residuals,
             status=status,
-            iterations=int(str(stats.get("iter_count", 0))),
+            iterations=iterations,
             psi=psi,
             context=context,
             message=f"Fatrop: {word}",
         )
 
+    def _status(self, word: str, iterations: int, residual: float) -> Status:
+        if not np.isfinite(residual):
+            return Status.NOT_FINITE
+        if residual <= self.tolerance:  # it may look for more than it asks for, in vain
+            return Status.CONVERGED
+        if iterations >= self.max_iterations and word != "SOLVER_RET_SUCCESS":
+            return Status.ITERATION_LIMIT
+        return _STATUS.get(word, Status.FAILED)
 
-def _bounds(problem: OCP) -> list[tuple[Array, tuple[Array, Array]]]:
-    """Lower, then upper: infinite for s_0, and the bounds of s_1 .. s_T and of the actions."""
-    pairs = zip(problem.limits, problem.action_bounds, strict=True)
-    sides = [(states[1:], np.asarray(actions)) for states, actions in pairs]
-    return [(np.full(problem.n_states, sign * np.inf), side) for sign, side in zip((-1, 1), sides, strict=True)]
+
+@dataclass(frozen=True, eq=False)
+class _Program:
+    """The solver, and the kind of every constraint."""
+
+    solver: ca.Function
+    kinds: NDArray[np.str_]
+
+    @property
+    def inequality(self) -> Mask:
+        """Which constraints are inequalities."""
+        return np.isin(self.kinds, ("path", "terminal"))
+
+    def multipliers(self, problem: OCP, on_bounds: Array, on_rows: Array) -> Multipliers:
+        """By name, of those on x and on the constraints."""
+
+        def of(*names: str) -> Array:
+            return np.concatenate([on_rows[self.kinds == name] for name in names])
+
+        lam = np.concatenate([-of("dynamics"), of("path_equality", "terminal_equality")])  # the rows are s_next - f
+        return unpack_multipliers(problem, pack(_by_kind(problem, on_bounds)), lam, of("path", "terminal"))
 
 
-def _in_stages(states: Array, actions: Array) -> Array:
+def _in_stages(states: ArrayLike, actions: ArrayLike) -> Array:
     """x = (s_0, u_0, .. s_T) of (T+1, n_s) and (T, n_u)."""
-    return np.concatenate([np.hstack([states[:-1], actions]).ravel(), states[-1]])
+    S, U = np.asarray(states), np.asarray(actions)
+    return np.concatenate([np.hstack([S[:-1], U]).ravel(), S[-1]])
 
 
-def _by_kind(problem: OCP, x: Array) -> tuple[Array, Array]:
+def _by_kind(problem: OCP, x: Array) -> Trajectory:
     """The inverse of `_in_stages`."""
     n_s = problem.n_states
     stages = x[:-n_s].reshape(problem.horizon, -1)
-    return np.vstack([stages[:, :n_s], x[-n_s:]]), stages[:, n_s:]
+    return Trajectory(np.vstack([stages[:, :n_s], x[-n_s:]]), stages[:, n_s:])
 
 
 @lru_cache(maxsize=64)
-def _build(problem: OCP, solver: Fatrop) -> tuple[ca.Function, Mask]:
-    """The solver, and which constraints are equalities."""
+def _build(problem: OCP, solver: Fatrop) -> _Program:
     steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
-    x = ca.MX.sym("x", steps * (n_s + n_u) + n_s)
+    x, s0 = ca.MX.sym("x", steps * (n_s + n_u) + n_s), ca.MX.sym("s0", n_s)
     stages = ca.reshape(x[: steps * (n_s + n_u)], n_s + n_u, steps)
     states, actions = ca.horzcat(stages[:n_s, :], x[steps * (n_s + n_u) :]), stages[n_s:, :]
-    s0, psi = ca.MX.sym("s0", n_s), ca.MX.sym("psi", problem.n_parameters)
-    context = ca.MX.sym("c", problem.n_context)
-    gaps = states[:, 1:] - problem.transition.map(steps)(states[:, :steps], actions, ca.repmat(psi, 1, steps))
-    path = problem.path(states, actions, psi, context)
-    start = [states[:, 0] - s0]
-    rows = [ca.vertcat(gaps[:, t], *(start if t == 0 else []), path[:, t]) for t in range(steps)]
-    equality = np.concatenate(
-        [np.repeat([True, False], [n_s * (2 if t == 0 else 1), problem.n_path]) for t in range(steps)]
-    )
-    program = {
-        "x": x,
-        "p": ca.vertcat(s0, psi, context),
-        "f": problem.cost(states, actions, psi, context),
-        "g": ca.vertcat(*rows),
-    }
+    point = states, actions, *problem.symbols()[2:]
+    blocks = list(_blocks(problem, s0, point))
+    kinds = np.concatenate([np.repeat(name, rows.numel()) for _, name, rows in blocks])
+    others = [(at, rows.numel()) for at, name, rows in blocks if name != "dynamics"]
     options = {
-        "structure_detection": "auto",
-        "equality": equality.tolist(),
+        "structure_detection": "manual",
+        "N": steps,
+        "nx": [n_s] * (steps + 1),
+        "nu": [n_u] * steps + [0],
+        "ng": [sum(size for at, size in others if at == t) for t in range(steps + 1)],
         "fatrop": {"tol": solver.tolerance, "max_iter": solver.max_iterations, "print_level": 0},
+        "equality": [name not in ("path", "terminal") for name in kinds],
         "print_time": False,
         "show_eval_warnings": False,
     }
-    return ca.nlpsol("fatrop", "fatrop", program, options), equality
+    program = {
+        "x": x,
+        "p": ca.vertcat(s0, *point[2:]),
+        "f": problem.cost(*point),
+        "g": ca.vertcat(*(rows for *_, rows in blocks)),
+    }
+    return _Program(ca.nlpsol("fatrop", "fatrop", program, options), kinds)
+
+
+def _blocks(problem: OCP, s0: ca.MX, point: Sequence[ca.MX]) -> Iterator[tuple[int, str, ca.MX]]:
+    """Stage, kind and rows of all constraints, without those that are switched off."""
+    states, live = point[0], problem.live
+    gaps = states[:, 1:] - problem.at_stages(problem.dynamics, *point)
+    equalities, path = problem.at_stages(problem.path_equality, *point), problem.path(*point)
+    given = np.flatnonzero(~problem.free_start).tolist()
+    for t in range(problem.horizon):
+        yield t, "dynamics", gaps[:, t]
+        if t == 0:
+            yield t, "start", states[given, 0] - s0[given]
+        yield t, "path_equality", equalities[np.flatnonzero(live.path_equality[t]).tolist(), t]
+        yield t, "path", path[np.flatnonzero(live.path[t]).tolist(), t]
+    ends = {"terminal_equality": problem.terminal_equality, "terminal": problem.terminal_inequality}
+    for name, function in ends.items():
+        rows = problem.at_end(function, *point)
+        yield problem.horizon, name, rows[np.flatnonzero(getattr(live, name)).tolist()]

@@ -12,16 +12,10 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.conditions.program import limits_from, starting_point, trajectory_of, transcribe
-from kpirl_ocp.ocp.problem.layout import (
-    bound_multipliers,
-    equality_multipliers,
-    inequality_multipliers,
-    n_equalities,
-    n_inequalities,
-    unpack_multipliers,
-)
+from kpirl_ocp.ocp.problem.layout import bound_multipliers, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.types import Array, Solution, Status
 
 _STATUS = {
@@ -58,25 +52,25 @@ class Ipopt:
         """The same solver for the smoothed problem."""
         return replace(self, barrier=barrier)
 
+    @one_at_a_time
     def solve(
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
         start, psi, context = problem.inputs(s0, psi, context)
-        solver, n_free = _build(problem, self, warm=isinstance(guess, Solution)), n_inequalities(problem)
+        solver, program = _build(problem, self, warm=isinstance(guess, Solution)), transcribe(problem)
         lower, upper = limits_from(problem, start)
         arguments = {
             "x0": starting_point(problem, start, psi, context, guess),
             "p": np.concatenate([psi, context]),
             "lbx": lower,
             "ubx": upper,
-            "lbg": np.concatenate([np.zeros(n_equalities(problem)), np.full(n_free, -np.inf)]),
+            "lbg": program.lower,
             "ubg": 0.0,
         }
         if isinstance(guess, Solution):
-            known = guess.multipliers
-            arguments["lam_x0"] = bound_multipliers(known)
-            arguments["lam_g0"] = np.concatenate([equality_multipliers(known), inequality_multipliers(known)])
+            arguments["lam_x0"] = bound_multipliers(guess.multipliers)
+            arguments["lam_g0"] = program.multipliers(guess.multipliers)
         result = solver(**arguments)
         return self._solution(problem, start, psi, context, result, solver.stats())
 
@@ -85,14 +79,17 @@ class Ipopt:
     ) -> Solution:
         w, nu, lam = (np.array(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
         trajectory = trajectory_of(problem, w, s0)
-        multipliers = unpack_multipliers(problem, nu, *np.split(lam, [n_equalities(problem)]))
-        word = str(stats["return_status"])
+        multipliers = unpack_multipliers(problem, nu, *np.split(lam, [transcribe(problem).live[0].sum()]))
+        residuals, word = (
+            audit(problem, psi, context, trajectory, multipliers, self.barrier),
+            str(stats["return_status"]),
+        )
         return Solution(
             trajectory=trajectory,
             multipliers=multipliers,
             objective=float(result["f"]),
-            residuals=audit(problem, psi, context, trajectory, multipliers, self.barrier),
-            status=_STATUS.get(word, Status.FAILED),
+            residuals=residuals,
+            status=self._status(word, residuals.worst),
             iterations=min(max(int(str(stats["iter_count"])), 0), self.max_iterations),  # unset when it never started
             psi=psi,
             context=context,
@@ -100,13 +97,19 @@ class Ipopt:
             message=f"Ipopt: {word}",
         )
 
+    def _status(self, word: str, residual: float) -> Status:
+        """Converged is what meets the tolerance, whether Ipopt is content, and wanted more, or not."""
+        if residual <= self.tolerance:
+            return Status.CONVERGED
+        status = _STATUS.get(word, Status.FAILED)
+        return Status.STALLED if status is Status.CONVERGED else status
+
 
 @lru_cache(maxsize=64)
 def _build(problem: OCP, solver: Ipopt, warm: bool) -> ca.Function:
     program = transcribe(problem)
-    objective, g_E, g_I = program.values(*program.symbols)
     w, *numbers = program.symbols
-    nlp = {"x": w, "p": ca.vertcat(*numbers), "f": objective, "g": ca.vertcat(g_E, g_I)}
+    nlp = {"x": w, "p": ca.vertcat(*numbers), "f": program.values(*program.symbols)[0], "g": program.rows}
     options = {
         "tol": solver.tolerance,
         "max_iter": solver.max_iterations,

@@ -18,6 +18,7 @@ from kpirl_ocp.ocp.conditions.nlp import bound_multipliers, pack, transcribe, un
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.scope import refuse_features
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
+from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.types import Array, Solution, Status, Trajectory
 
 
@@ -36,6 +37,7 @@ class SQP:
         if not self.tolerance > 0 or self.max_iterations < 1:
             raise ProblemError("SQP needs tolerance > 0 and max_iterations >= 1.")
 
+    @one_at_a_time
     def solve(
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:

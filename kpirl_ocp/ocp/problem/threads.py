@@ -1,0 +1,27 @@
+"""One thread at a time in CasADi: two that evaluate one function at once, or functions that share a part, end the
+process.
+
+Solvers that run in CasADi take turns; `Riccati` and `GradientDescent` run compiled code and need not.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+_lock = threading.RLock()
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+def one_at_a_time(method: Callable[_P, _R]) -> Callable[_P, _R]:
+    """The same callable, for one thread at a time over all that are marked so."""
+
+    @wraps(method)
+    def guarded(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        with _lock:
+            return method(*args, **kwargs)
+
+    return guarded
