@@ -14,6 +14,8 @@ from .ocp.models.mlp import MLP
 from .ocp.models.onnx.load import load_onnx
 from .ocp.models.robot import Keypoint, Robot
 from .ocp.problem.ocp import OCP
+from .ocp.problem.statement.continuous import discretise
+from .ocp.problem.statement.soft import Soft
 from .ocp.sensitivity.sensitivity import sensitivity
 from .ocp.solvers.fatrop import Fatrop
 from .ocp.solvers.gradient_descent import GradientDescent
@@ -43,6 +45,7 @@ __all__ = [
     "NetworkDynamics",
     "Riccati",
     "Robot",
+    "Soft",
     "Solution",
     "Status",
     "TimeDependent",
@@ -51,6 +54,7 @@ __all__ = [
     "Unrolled",
     "Weighted",
     "apprenticeship",
+    "discretise",
     "evaluate",
     "identify",
     "keypoint_ocp",

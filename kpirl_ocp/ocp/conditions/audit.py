@@ -35,10 +35,12 @@ def audit(
     rows, decided = Inequalities.at(bounds, w, g_I), ~given(problem)
     forces, unequal = rows.forces(bound_multipliers(multipliers), mu, barrier), ~rows.equal
     push = bounds.net_force(forces[: len(bounds.entries)], len(w))
+    with np.errstate(invalid="ignore", over="ignore"):
+        products = forces * rows.slack - barrier
     return KKTResiduals(
         stationarity=largest((gradient + push)[decided]),
         feasibility=largest(np.concatenate([g_E, np.minimum(rows.slack, 0.0)])),
-        complementarity=largest((forces * rows.slack - barrier)[unequal]),
+        complementarity=largest(products[unequal]),
         sign=largest(np.minimum(forces, 0.0)[unequal]),
         scale=max_or_nan(1.0, largest(cost_gradient[decided]), largest(lam), largest(mu)),
     )

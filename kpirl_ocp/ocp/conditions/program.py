@@ -15,18 +15,22 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.layout import (
     equality_multipliers,
     given,
     inequality_multipliers,
+    lengths,
     limits,
     live_equalities,
     live_inequalities,
     unpack,
+    unpack_multipliers,
 )
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
-from kpirl_ocp.types import Array, Mask, Multipliers, Trajectory
+from kpirl_ocp.ocp.problem.statement.checks import shown
+from kpirl_ocp.types import Array, KKTResiduals, Mask, Multipliers, Solution, Status, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,16 +103,35 @@ def limits_from(problem: OCP, s0: Array) -> tuple[Array, Array]:
 
 
 def starting_point(problem: OCP, s0: Array, psi: Array, context: Array, guess: Guess) -> Array:
-    """w (n_w,) to start from: the guess as it stands but for given entries of s_0, or a rollout with zero actions."""
+    """w (n_w,) to start from: the guess as it stands but for given entries of s_0, or a rollout with zero actions.
+
+    Raises ProblemError for a guess that is no trajectory of this problem, or has multipliers of other shapes.
+    """
     if guess is None:
-        actions = np.zeros((problem.horizon, problem.n_actions))
-        return _pack(problem, s0, problem.simulate(s0, actions, psi, context))
-    return _pack(problem, s0, Trajectory(problem.as_states(guess.states), problem.as_actions(guess.actions)))
+        start = problem.simulate(s0, np.zeros((problem.horizon, problem.n_actions)), psi, context)
+    elif isinstance(guess, Solution | Trajectory):
+        start = Trajectory(problem.as_states(guess.states), problem.as_actions(guess.actions))
+    else:
+        raise ProblemError(f"guess must be a Solution or a Trajectory, got {shown(guess)}.")
+    if isinstance(guess, Solution):
+        _check_multipliers(problem, guess.multipliers)
+    first = np.where(problem.free_start, start.states[0], s0)
+    return np.concatenate([first, start.states[1:].ravel(), start.actions.ravel()])
 
 
-def _pack(problem: OCP, s0: Array, trajectory: Trajectory) -> Array:
-    first = np.where(problem.free_start, trajectory.states[0], s0)
-    return np.concatenate([first, trajectory.states[1:].ravel(), trajectory.actions.ravel()])
+def _check_multipliers(problem: OCP, known: Multipliers) -> None:
+    expected = vars(unpack_multipliers(problem, *(np.zeros(n) for n in lengths(problem))))
+    for name, value in vars(known).items():
+        shape = expected[name].shape
+        if np.shape(value) != shape:
+            raise ProblemError(f"the guess's multipliers {name} must be {shape}, got {np.shape(value)}.")
+
+
+def not_started(problem: OCP, w: Array, psi: Array, context: Array, why: str) -> Solution:
+    """The answer where a function is not finite at the start w (n_w,): nothing has been done."""
+    multipliers = unpack_multipliers(problem, *(np.zeros(n) for n in lengths(problem)))
+    unknown = KKTResiduals(np.nan, np.nan, np.nan, np.nan, 1.0)
+    return Solution(unpack(problem, w), multipliers, np.nan, unknown, Status.NOT_FINITE, 0, psi, context, message=why)
 
 
 def trajectory_of(problem: OCP, w: Array, s0: Array) -> Trajectory:

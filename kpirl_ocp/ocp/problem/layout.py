@@ -92,6 +92,11 @@ def live_inequalities(problem: OCP) -> Mask:
     return np.concatenate([problem.live.path.ravel(), problem.live.terminal])
 
 
+def lengths(problem: OCP) -> tuple[int, int, int]:
+    """n_w, n_eq and n_ineq."""
+    return len(given(problem)), len(live_equalities(problem)), len(live_inequalities(problem))
+
+
 def _spread(values: Array, live: Mask) -> Array:
     """Values (n,) or those of the live rows, as (n,)."""
     if len(values) == len(live):

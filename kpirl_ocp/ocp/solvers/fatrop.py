@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.conditions.feasibility import infeasible
-from kpirl_ocp.ocp.conditions.program import starting_point, trajectory_of
-from kpirl_ocp.ocp.problem.layout import pack, unpack, unpack_multipliers
+from kpirl_ocp.ocp.conditions.program import not_started, starting_point, trajectory_of, transcribe
+from kpirl_ocp.ocp.problem.layout import lengths, pack, unpack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
@@ -57,8 +57,10 @@ class Fatrop:
     ) -> Solution:
         """Solve; see `Solver.solve`."""
         start, psi, context = problem.inputs(s0, psi, context)
-        program = _build(problem, self)
         w = starting_point(problem, start, psi, context, guess)
+        if not _finite(problem, w, psi, context):
+            return not_started(problem, w, psi, context, "a function or its gradient is not finite at the start")
+        program = _build(problem, self)
         lower, upper = (_in_stages(*pair) for pair in zip(problem.limits, problem.action_bounds, strict=True))
         result = program.solver(
             x0=_in_stages(*vars(unpack(problem, w)).values()),
@@ -126,6 +128,14 @@ class _Program:
 
         lam = np.concatenate([-of("dynamics"), of("path_equality", "terminal_equality")])  # the rows are s_next - f
         return unpack_multipliers(problem, pack(_by_kind(problem, on_bounds)), lam, of("path", "terminal"))
+
+
+def _finite(problem: OCP, w: Array, psi: Array, context: Array) -> bool:
+    """Are all functions and their gradients, at the start? Fatrop does not end where they are not."""
+    program = transcribe(problem)
+    ones = [np.ones(n) for n in lengths(problem)[1:]]
+    values = [*program.values(w, psi, context), *program.first(w, psi, context, *ones)]
+    return all(np.isfinite(np.array(value)).all() for value in values)
 
 
 def _in_stages(states: ArrayLike, actions: ArrayLike) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
-from kpirl_ocp.ocp.conditions.program import limits_from, starting_point, trajectory_of, transcribe
+from kpirl_ocp.ocp.conditions.program import limits_from, not_started, starting_point, trajectory_of, transcribe
 from kpirl_ocp.ocp.problem.layout import bound_multipliers, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
@@ -58,10 +58,13 @@ class Ipopt:
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
         start, psi, context = problem.inputs(s0, psi, context)
+        w = starting_point(problem, start, psi, context, guess)
+        if not np.isfinite(np.concatenate([w, psi, context])).all():
+            return not_started(problem, w, psi, context, "the start, psi or the context holds NaN or infinity")
         solver, program = _build(problem, self, warm=isinstance(guess, Solution)), transcribe(problem)
         lower, upper = limits_from(problem, start)
         arguments = {
-            "x0": starting_point(problem, start, psi, context, guess),
+            "x0": w,
             "p": np.concatenate([psi, context]),
             "lbx": lower,
             "ubx": upper,

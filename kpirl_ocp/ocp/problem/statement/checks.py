@@ -27,9 +27,12 @@ def horizon_of(value: object) -> int:
 def numbers(name: str, value: ArrayLike) -> Array:
     """A float64 array. Raises ProblemError for anything that is not made of numbers."""
     try:
-        return np.asarray(value, float)
-    except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError) as error:
-        raise ProblemError(f"{name} must be an array of numbers, got {shown(value)}.") from error
+        array = np.asarray(value)
+        if array.dtype.kind in "biuf":
+            return array.astype(float, copy=False)
+    except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):
+        pass
+    raise ProblemError(f"{name} must be an array of numbers, got {shown(value)}.")
 
 
 def vector(name: str, value: ArrayLike, *lengths: int) -> Array:
@@ -66,7 +69,7 @@ def bounds_of(name: str, bounds: Bounds, shape: tuple[int, ...]) -> tuple[Array,
     expected = " or ".join(dict.fromkeys(str(shape[i:]) for i in reversed(range(len(shape)))))
     try:
         given = [np.asarray(bound, float) for bound in bounds]
-        lower, upper = (np.array(np.broadcast_to(_one_row(bound), shape)) for bound in given)
+        lower, upper = (np.array(np.broadcast_to(_one_row(bound, shape), shape)) for bound in given)
     except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError) as error:
         raise ProblemError(f"{name} must be (lower, upper), each a number or {expected}.") from error
     if not lower.size and any(np.isfinite(bound).any() for bound in given):
@@ -92,9 +95,10 @@ def check_function(name: str, function: object, sizes: tuple[int, ...], length: 
         )
 
 
-def _one_row(bound: Array) -> Array:
+def _one_row(bound: Array, shape: tuple[int, ...]) -> Array:
     """The row of a bound that is the same at every stage, so that a problem can be given another horizon."""
-    return bound[0] if bound.ndim == 2 and len(bound) and (bound == bound[:1]).all() else bound
+    same = bound.ndim == len(shape) == 2 and len(bound) > 0 and bool((bound == bound[:1]).all())
+    return bound[0] if same else bound
 
 
 def shown(value: object) -> str:
