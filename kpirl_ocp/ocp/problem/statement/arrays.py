@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.ocp.problem.dimensions import Dimensions
 from kpirl_ocp.ocp.problem.statement.checks import matrix, vector
+from kpirl_ocp.ocp.problem.statement.dimensions import Dimensions
 from kpirl_ocp.types import Array, Solution, Trajectory
 
 
