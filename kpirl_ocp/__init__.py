@@ -4,6 +4,7 @@
     inner (OCP):   tau(psi) = argmin_u  C_psi(rollout(s0, u, f), z_goal)
 
 State a problem with `OCP`, solve it with a solver, differentiate through it with a hypergradient, learn with `learn`.
+Robots, networks and keypoint costs are in `kpirl_ocp.ocp.models`. Names are imported when they are used.
 """
 
 import lazy_loader

@@ -1,18 +1,12 @@
+from .errors import CertificateError, KpirlError
 from .irl.hypergradients.finite_difference import FiniteDifference
 from .irl.hypergradients.implicit import Implicit
 from .irl.hypergradients.unrolled import Truncated, Unrolled
-from .irl.identifiability.identify import identify
-from .irl.learning.apprenticeship import apprenticeship
 from .irl.learning.evaluation import evaluate
 from .irl.learning.learn import learn
 from .irl.learning.optimisers import LBFGS, Adam, Descent
-from .ocp.models.dynamics_files import load_dynamics
-from .ocp.models.keypoint_costs import RBF, Default, KeypointCost, TimeDependent, Weighted
-from .ocp.models.keypoint_dynamics import NetworkDynamics
-from .ocp.models.keypoint_problems import keypoint_ocp, keypoint_state, network_ocp
-from .ocp.models.mlp import MLP
-from .ocp.models.onnx.load import load_onnx
-from .ocp.models.robot import Keypoint, Robot
+from .ocp.export.exported_solver import ExportedSolver
+from .ocp.export.folder import export_c
 from .ocp.problem.ocp import OCP
 from .ocp.problem.statement.continuous import discretise
 from .ocp.problem.statement.soft import Soft
@@ -27,41 +21,29 @@ from .version import __version__ as __version__
 
 __all__ = [
     "LBFGS",
-    "MLP",
     "OCP",
-    "RBF",
     "SQP",
     "Adam",
-    "Default",
+    "CertificateError",
     "Demonstration",
     "Descent",
+    "ExportedSolver",
     "Fatrop",
     "FiniteDifference",
     "GradientDescent",
     "Implicit",
     "Ipopt",
-    "Keypoint",
-    "KeypointCost",
-    "NetworkDynamics",
+    "KpirlError",
     "Riccati",
-    "Robot",
     "Soft",
     "Solution",
     "Status",
-    "TimeDependent",
     "Trajectory",
     "Truncated",
     "Unrolled",
-    "Weighted",
-    "apprenticeship",
     "discretise",
     "evaluate",
-    "identify",
-    "keypoint_ocp",
-    "keypoint_state",
+    "export_c",
     "learn",
-    "load_dynamics",
-    "load_onnx",
-    "network_ocp",
     "sensitivity",
 ]

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from kpirl_ocp import Default, KeypointCost, Robot, figures
+from kpirl_ocp import figures
 from kpirl_ocp.episodes import Episode, read_episodes
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.cases.tasks import as_demonstration
 from kpirl_ocp.irl.learning.evaluation import evaluate
+from kpirl_ocp.ocp.models import Default, KeypointCost, Robot
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 

@@ -8,12 +8,13 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from kpirl_ocp import OCP, GradientDescent, Riccati, Robot
+from kpirl_ocp import OCP, GradientDescent, Riccati
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.ocp.export import export_c
+from kpirl_ocp.ocp.models import Robot
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED
 from kpirl_ocp.ocp.solvers.sqp import SQP

@@ -16,11 +16,12 @@ import numpy as np
 from scipy.optimize import least_squares
 from tqdm import tqdm
 
-from kpirl_ocp import OCP, Demonstration, Implicit, KeypointCost, Riccati, Robot, Weighted, figures, keypoint_ocp
+from kpirl_ocp import OCP, Demonstration, Implicit, Riccati, figures
 from kpirl_ocp.irl.cases.tasks import HORIZON, as_demonstration, demonstrate
 from kpirl_ocp.irl.identifiability.design import expected_information
 from kpirl_ocp.irl.identifiability.identify import identify
 from kpirl_ocp.irl.identifiability.plan_jacobian import plan_jacobian
+from kpirl_ocp.ocp.models import KeypointCost, Robot, Weighted, keypoint_ocp
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 from kpirl_ocp.types import Array
 

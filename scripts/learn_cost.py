@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kpirl_ocp import GradientDescent, Implicit, KeypointCost, Riccati, Robot, Unrolled, figures
+from kpirl_ocp import GradientDescent, Implicit, Riccati, Unrolled, figures
 from kpirl_ocp.episodes import Episode, read_episodes
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.cost_files import BASES, LearnedCost, make_basis
@@ -17,6 +17,7 @@ from kpirl_ocp.irl.cases.tasks import HORIZON, TASKS, as_demonstration, demonstr
 from kpirl_ocp.irl.learning.evaluation import Evaluation, evaluate
 from kpirl_ocp.irl.learning.learn import LearningResult, learn
 from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Descent
+from kpirl_ocp.ocp.models import KeypointCost, Robot
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 OPTIMISERS = {"adam": Adam, "descent": Descent, "lbfgs": LBFGS}

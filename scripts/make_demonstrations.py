@@ -5,8 +5,9 @@ The first episode is for training, the others are for testing; starts and goals 
 
 import argparse
 
-from kpirl_ocp import Robot, figures
+from kpirl_ocp import figures
 from kpirl_ocp.irl.cases.tasks import HORIZON, TASKS, write_demonstrations
+from kpirl_ocp.ocp.models import Robot
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from experiments.study import METHODS, Curve, StudySettings, run_case
 from tqdm import tqdm
 
-from kpirl_ocp import Robot, figures
+from kpirl_ocp import figures
 from kpirl_ocp.irl.cases.tasks import TASKS, write_demonstrations
+from kpirl_ocp.ocp.models import Robot
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 Results = dict[tuple[str, int], dict[str, Curve]]

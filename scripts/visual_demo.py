@@ -12,13 +12,14 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from kpirl_ocp import NetworkDynamics, figures
+from kpirl_ocp import figures
 from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.episodes import KeypointTrack
 from kpirl_ocp.irl.cases.planar_arm import planar_dynamics
 from kpirl_ocp.irl.visual.closed_loop import Execution, KeypointController
 from kpirl_ocp.irl.visual.demonstrations import positions, transferred_demonstration
 from kpirl_ocp.irl.visual.learning import COSTS, InnerLoop, LearnedPlan, learn_unrolled
+from kpirl_ocp.ocp.models import NetworkDynamics
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.video import Frames, sample_indices
 from kpirl_ocp.perception.detector.detector import KeypointDetector

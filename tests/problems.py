@@ -11,7 +11,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp import OCP, Default, Demonstration, KeypointCost, Robot, Weighted, keypoint_ocp, keypoint_state
+from kpirl_ocp import OCP, Demonstration
 from kpirl_ocp.irl.cases.examples import (
     CASES,
     Case,
@@ -23,6 +23,7 @@ from kpirl_ocp.irl.cases.examples import (
     pendulum,
     unconstrained,
 )
+from kpirl_ocp.ocp.models import Default, KeypointCost, Robot, Weighted, keypoint_ocp, keypoint_state
 
 __all__ = [
     "CASES",

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kpirl_ocp import GradientDescent, KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp
+from kpirl_ocp import GradientDescent
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.irl.learning.apprenticeship import apprenticeship, features, max_margin
+from kpirl_ocp.ocp.models import KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp
 
 
 def test_one_difference_gives_its_own_direction_and_length_as_margin():

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from kpirl_ocp import Robot
 from kpirl_ocp.errors import EpisodeError, FileError
 from kpirl_ocp.irl.cases.tasks import demonstrate
+from kpirl_ocp.ocp.models import Robot
 
 pytest.importorskip("cv2")
 import cv2

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kpirl_ocp import Robot
 from kpirl_ocp.episodes import Episode, read_episodes, write_episodes
 from kpirl_ocp.errors import EpisodeError, ProblemError
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.motion import minimum_jerk
+from kpirl_ocp.ocp.models import Robot
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from kpirl_ocp import Robot
 from kpirl_ocp.assets import iiwa_urdf
+from kpirl_ocp.ocp.models import Robot
 
 SHOULDER, UPPER_ARM, FOREARM, HAND = 0.36, 0.42, 0.40, 0.081  # [m], KUKA's data sheet; the hand up to the last frame
 POSES = np.random.default_rng(0).uniform(-2.0, 2.0, (100, 7))

@@ -6,8 +6,18 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import RBF, Default, Ipopt, KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp, keypoint_state
+from kpirl_ocp import Ipopt
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.models import (
+    RBF,
+    Default,
+    KeypointCost,
+    Robot,
+    TimeDependent,
+    Weighted,
+    keypoint_ocp,
+    keypoint_state,
+)
 from kpirl_ocp.ocp.models.keypoint_costs import PARAMETRISATIONS
 from kpirl_ocp.ocp.problem.trajectory_cost import GROUP, coefficients_of, stage_costs
 

@@ -3,17 +3,7 @@
 import numpy as np
 import pytest
 
-from kpirl_ocp import (
-    RBF,
-    GradientDescent,
-    Implicit,
-    KeypointCost,
-    Robot,
-    TimeDependent,
-    Unrolled,
-    Weighted,
-    keypoint_ocp,
-)
+from kpirl_ocp import GradientDescent, Implicit, Unrolled
 from kpirl_ocp.errors import CertificateError, FileError, ProblemError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.cases.examples import lqr, pendulum
@@ -21,6 +11,7 @@ from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.irl.learning.evaluation import evaluate, relative_distance
 from kpirl_ocp.irl.learning.learn import Learner, learn
 from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Descent, Point
+from kpirl_ocp.ocp.models import RBF, KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 
 CURVATURES = np.array([1.0, 10.0, 100.0])

@@ -10,18 +10,14 @@ import pytest
 from problems import pendulum
 
 from kpirl_ocp import (
-    RBF,
     Adam,
     Demonstration,
     FiniteDifference,
     GradientDescent,
     Implicit,
     Ipopt,
-    KeypointCost,
-    TimeDependent,
     Truncated,
     Unrolled,
-    Weighted,
     learn,
 )
 from kpirl_ocp.errors import ProblemError
@@ -30,6 +26,7 @@ from kpirl_ocp.irl.hypergradients.loss import squared_distance
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.irl.learning.learn import Learner
 from kpirl_ocp.ocp.codegen import compiler as native
+from kpirl_ocp.ocp.models import RBF, KeypointCost, TimeDependent, Weighted
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_passes import NetworkPasses
 from kpirl_ocp.ocp.models.keypoint_problems import network_ocp

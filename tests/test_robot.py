@@ -7,8 +7,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from kpirl_ocp import Keypoint, Robot
 from kpirl_ocp.errors import RobotError
+from kpirl_ocp.ocp.models import Keypoint, Robot
 
 LINKS = "".join(f'<link name="{name}"/>' for name in ("base", "slide", "turn", "skew", "hand"))
 LIMIT = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
@@ -205,8 +205,9 @@ class Spy:
     def find_spec(name, path=None, target=None):
         tried.add(name)
 sys.meta_path.insert(0, Spy)
-import kpirl_ocp, kpirl_ocp.ocp, kpirl_ocp.irl
-kpirl_ocp.Robot.iiwa()
+import kpirl_ocp, kpirl_ocp.irl
+from kpirl_ocp.ocp.models import Robot
+Robot.iiwa()
 print("casadi" in tried, sorted({"torch", "cv2", "pybullet"} & tried), "pybullet_data" in sys.modules)
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

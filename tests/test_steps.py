@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from problems import swing_up
 
-from kpirl_ocp import KeypointCost, Riccati, Status, TimeDependent
+from kpirl_ocp import Riccati, Status
 from kpirl_ocp.assets import shipped_model
+from kpirl_ocp.ocp.models import KeypointCost, TimeDependent
 from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
 from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 

@@ -6,8 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import MLP, OCP, Demonstration, Implicit, NetworkDynamics, Riccati, load_onnx
+from kpirl_ocp import OCP, Demonstration, Implicit, Riccati
 from kpirl_ocp.errors import ModelError, ProblemError
+from kpirl_ocp.ocp.models import MLP, NetworkDynamics, load_onnx
 from kpirl_ocp.ocp.models.graph_network import GraphNetwork
 
 torch = pytest.importorskip("torch")

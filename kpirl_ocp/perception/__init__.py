@@ -1,1 +1,1 @@
-"""The robot's eyes: a simulated scene and its camera. Meets `ocp` only through plain arrays and files."""
+"""From camera frames to keypoints and their dynamics. Meets `ocp` only through plain arrays and files."""

@@ -7,9 +7,10 @@ import time
 from bench.part import Part, Table
 from bench.settings import Preset
 from bench.timing import interleaved
-from kpirl_ocp import GradientDescent, Implicit, KeypointCost, Riccati, Robot, Unrolled, keypoint_ocp
+from kpirl_ocp import GradientDescent, Implicit, Riccati, Unrolled
 from kpirl_ocp.irl.cases.tasks import HORIZON, as_demonstration, demonstrate
 from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
+from kpirl_ocp.ocp.models import KeypointCost, Robot, keypoint_ocp
 
 
 def measure(preset: Preset) -> Part:

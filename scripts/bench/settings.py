@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from bench.contenders import NAMES, OURS
 from bench.problem import random_network
-from kpirl_ocp import RBF, TimeDependent, Weighted
 from kpirl_ocp.irl.cases.network_cases import NetworkCase, placing_case
+from kpirl_ocp.ocp.models import RBF, TimeDependent, Weighted
 from kpirl_ocp.ocp.models.keypoint_costs import Basis
 
 

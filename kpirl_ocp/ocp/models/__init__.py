@@ -1,1 +1,8 @@
-"""What problems are made of: robots, networks, and costs over keypoints."""
+"""Building blocks of problems: robots, networks, and costs over keypoints.
+
+Names are imported when they are used, because they need different packages.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

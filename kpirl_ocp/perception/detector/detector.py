@@ -52,7 +52,7 @@ class KeypointDetector:
         if images.ndim != 4 or images.shape[1] != images.shape[2] or images.shape[3] != 3 or images.dtype != np.uint8:
             raise ProblemError(
                 f"images must be square and (n, H, W, 3) uint8 RGB, got {images.shape} {images.dtype}; "
-                "perception.video.read_demonstration crops and resizes a video."
+                "perception.data.read_demonstration crops and resizes a video."
             )
         batches = [images[start : start + _BATCH] for start in range(0, len(images), _BATCH)]
         nothing = np.empty((0, self.model.head.out_channels, 3))
