@@ -12,9 +12,9 @@ RNG = np.random.default_rng(0)
 def process(matrix, products, lowest=False):
     """start -> the outermost value, its error and vector, the magnitude, as the Lanczos method finds them."""
     begin = ca.MX.sym("start", len(matrix))
-    diagonal, beside, basis = lanczos(lambda v: ca.DM(matrix) @ v, begin, products)
-    value, error, coordinates = outermost(diagonal.numel())(diagonal, beside, int(lowest))
-    outputs = [value, error, basis @ coordinates, magnitude(diagonal.numel())(diagonal, beside)]
+    diagonal, offdiagonal, basis = lanczos(lambda v: ca.DM(matrix) @ v, begin, products)
+    value, error, coordinates = outermost(diagonal.numel())(diagonal, offdiagonal, int(lowest))
+    outputs = [value, error, basis @ coordinates, magnitude(diagonal.numel())(diagonal, offdiagonal)]
     function = ca.Function("process", [begin], outputs)
     return lambda vector: [np.array(output).ravel() for output in function(vector)]
 

@@ -46,12 +46,12 @@ _CACHE_BYTES = 512 * 2**20
 
 
 def compiled(function: ca.Function) -> ca.Function:
-    """The same function as machine code; the function itself when there is no C compiler."""
+    """A function as machine code; the function itself when there is no C compiler."""
     return compile_all([function])[0]
 
 
 def compile_all(functions: Sequence[ca.Function]) -> list[ca.Function]:
-    """The same for several functions, whose common parts are compiled once."""
+    """Several functions as machine code, their common parts compiled once; themselves without a C compiler."""
     command = compiler()
     if command is None:
         return list(functions)
@@ -144,7 +144,7 @@ def find_compiler() -> str | None:
 
 @lru_cache(maxsize=1)
 def compiler() -> str | None:
-    """The same, with a warning if there is none; looked for once in a process."""
+    """`find_compiler`, with a warning if there is none; called once in a process."""
     path = find_compiler()
     if path is None:
         warn_slow("no C compiler (cc, gcc, clang) was found")

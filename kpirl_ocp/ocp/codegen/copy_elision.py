@@ -1,11 +1,11 @@
-"""Generated C with fewer copies: what CasADi's code generator moves through memory although it need not.
+"""Generated C with fewer copies: needless moves through memory that CasADi's code generator makes.
 
     product   w = start; w += x y     becomes  w = start + x y    one pass over w; zeros are not even written
-    output    w = ...; res[k] = w     becomes  res[k] = ...       w is another name for the place that the caller wants
+    output    w = ...; res[k] = w     becomes  res[k] = ...       w is another name for the caller's array
 
-The results are the same to the last bit. Each is a matter of one function. The second needs results that overlap
-neither each other nor the arguments: CasADi finds places for the results of a call before it frees its arguments. Who
-calls the functions that a file is made for is not known, so these are left alone.
+The results are the same to the last bit. Each concerns one function. The second needs results that overlap neither
+each other nor the arguments: CasADi finds places for the results of a call before it frees its arguments. The callers
+of the functions that a file is generated for are not known, so these are left alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _OUTPUT = re.compile(r"^ *(?:if \(res\[\d+\]\) )?casadi_copy\((w\d+), \d+, res\[
 
 
 def with_fewer_copies(source: str) -> str:
-    """The same functions; products call `casadi_mtimes_from` of `kpirl_ocp.ocp.codegen.kernels`."""
+    """Generated C with both replacements; products call `casadi_mtimes_from` of `kpirl_ocp.ocp.codegen.kernels`."""
     entries = set(_ENTRY.findall(source))
 
     def shorter(function: re.Match[str]) -> str:

@@ -26,7 +26,7 @@ class Call:
     """A function of dense vectors and matrices, called with flat arrays in column-major order, as CasADi keeps them.
 
     Small arrays are copied to and from memory of its own, which takes a fraction of the time that it takes to tell
-    CasADi where they are. It holds the memory of one evaluation, so use one object per thread.
+    CasADi their address. It holds the memory of one evaluation, so use one object per thread.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -56,7 +56,7 @@ class Call:
         return [large[i] if place is None else block[place] for i, place in enumerate(self._places)]
 
     def fix(self, *arguments: Array) -> Call:
-        """The same object, with its first arguments given for all later calls."""
+        """Fix the first arguments for all later calls; returns the object itself."""
         self._fixed = self._set_arguments(arguments, 0)
         return self
 
@@ -85,12 +85,12 @@ def call(problem: OCP, build: Build) -> Call:
 
 
 def call_one_of(problem: OCP, builds: tuple[Build, ...], build: Build) -> Call:
-    """The same, compiled together with others that share most of their code."""
+    """`call`, with the function compiled together with others that share most of their code."""
     return _per_thread("builds", _built)(problem, builds, build).fix()
 
 
 def call_function(function: ca.Function) -> Call:
-    """The same for a function as it is."""
+    """This thread's `Call` of a function as it is, with all its arguments open."""
     return _per_thread("functions", Call)(function).fix()
 
 

@@ -1,4 +1,4 @@
-"""What a solver hands over to be exported."""
+"""A solver as C: the functions, sources and settings that an exported folder is made of."""
 
 from __future__ import annotations
 

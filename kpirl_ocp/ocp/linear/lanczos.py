@@ -15,14 +15,14 @@ _SWEEPS = 6  # of Jacobi's method, each of which in the end doubles the digits
 
 
 def lanczos(operator: Callable[[ca.MX], ca.MX], start: ca.MX, products: int) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """Diagonal (k,) and what stands beside it (k,) in the tridiagonal form, and the basis (size, k); k <= products.
+    """Diagonal (k,) and off-diagonal (k,) of the tridiagonal form, and the basis (size, k); k <= products.
 
     The basis is orthogonalised twice, so that no eigenvalue appears as a ghost. All products are taken, whatever they
     give: an invariant subspace ends the process, and `outermost` and `magnitude` leave out what comes after it.
     """
     vectors: list[ca.MX] = []
     diagonal: list[ca.MX] = []
-    beside: list[ca.MX] = []
+    offdiagonal: list[ca.MX] = []
     vector, length = start, ca.norm_2(start)
     for _ in range(min(products, start.numel())):
         vectors.append(ca.if_else(length == 0, 0, vector / length))
@@ -32,10 +32,10 @@ def lanczos(operator: Callable[[ca.MX], ca.MX], start: ca.MX, products: int) -> 
         for _ in range(2):
             vector = vector - basis @ (vector.T @ basis).T
         length = ca.norm_2(vector)
-        beside.append(length)
+        offdiagonal.append(length)
     return (
         ca.vertcat(ca.MX(0, 1), *diagonal),
-        ca.vertcat(ca.MX(0, 1), *beside),
+        ca.vertcat(ca.MX(0, 1), *offdiagonal),
         ca.horzcat(ca.MX(start.numel(), 0), *vectors),
     )
 
@@ -50,8 +50,8 @@ def start(size: int) -> Array:
 
 @lru_cache(maxsize=64)
 def magnitude(size: int) -> ca.Function:
-    """(diagonal (k,), beside (k,)) of `lanczos` -> the largest |Ritz value|. NaN stays NaN."""
-    inputs = [ca.MX.sym("diagonal", size), ca.MX.sym("beside", size)]
+    """(diagonal (k,), offdiagonal (k,)) of `lanczos` -> the largest |Ritz value|. NaN stays NaN."""
+    inputs = [ca.MX.sym("diagonal", size), ca.MX.sym("offdiagonal", size)]
     form, *_ = _tridiagonal(size)(*inputs)
     values, _ = _diagonalised(form)
     return ca.Function("magnitude", inputs, [_largest(size)(ca.fabs(values), ca.MX.ones(size))[0]])
@@ -59,12 +59,12 @@ def magnitude(size: int) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def outermost(size: int) -> ca.Function:
-    """(diagonal (k,), beside (k,), lowest (0 or 1)) of `lanczos` -> value, error, coordinates (k,).
+    """(diagonal (k,), offdiagonal (k,), lowest (0 or 1)) of `lanczos` -> value, error, coordinates (k,).
 
     The lowest or the highest Ritz value, how far it is from an eigenvalue at most, and its vector in the basis. NaN
     stays NaN, and is the value of an operator without dimensions.
     """
-    inputs = [ca.MX.sym("diagonal", size), ca.MX.sym("beside", size), ca.MX.sym("lowest")]
+    inputs = [ca.MX.sym("diagonal", size), ca.MX.sym("offdiagonal", size), ca.MX.sym("lowest")]
     if not size:
         return ca.Function("outermost", inputs, [ca.MX(np.nan), ca.MX(np.nan), ca.MX(0, 1)])
     form, going, last = _tridiagonal(size)(*inputs[:2])
@@ -78,21 +78,21 @@ def outermost(size: int) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def _tridiagonal(size: int) -> ca.Function:
-    """(diagonal, beside) -> the matrix (k, k), going (k,), last (k,).
+    """(diagonal, offdiagonal) -> the matrix (k, k), going (k,), last (k,).
 
     The matrix is zero after the end of the process; going is 1 up to there, and last is 1 there.
     """
-    diagonal, beside = ca.SX.sym("diagonal", size), ca.SX.sym("beside", size)
+    diagonal, offdiagonal = ca.SX.sym("diagonal", size), ca.SX.sym("offdiagonal", size)
     form, scale, going = ca.SX(ca.DM.zeros(size, size)), ca.fabs(diagonal[0]), [ca.SX(1)]
     form[0, 0] = diagonal[0]
     for k in range(1, size):
-        going.append(ca.logic_and(going[-1], beside[k - 1] > 1e-12 * scale))
+        going.append(ca.logic_and(going[-1], offdiagonal[k - 1] > 1e-12 * scale))
         scale = ca.if_else(ca.fabs(diagonal[k]) > scale, ca.fabs(diagonal[k]), scale)
         form[k, k] = ca.if_else(going[k], diagonal[k], 0)
-        form[k, k - 1] = form[k - 1, k] = ca.if_else(going[k], beside[k - 1], 0)
+        form[k, k - 1] = form[k - 1, k] = ca.if_else(going[k], offdiagonal[k - 1], 0)
     last = ca.vertcat(*going) - ca.vertcat(*going[1:], 0)
     outputs = [form, ca.vertcat(*going), last]
-    return ca.Function("tridiagonal", [diagonal, beside], [ca.densify(x) for x in outputs])
+    return ca.Function("tridiagonal", [diagonal, offdiagonal], [ca.densify(x) for x in outputs])
 
 
 def _diagonalised(form: ca.MX) -> tuple[ca.MX, ca.MX]:
@@ -105,7 +105,7 @@ def _diagonalised(form: ca.MX) -> tuple[ca.MX, ca.MX]:
 
 @lru_cache(maxsize=64)
 def _sweep(size: int) -> ca.Function:
-    """(A, V) -> J' A J, V J, with a rotation J for every entry beside the diagonal, which it turns to zero."""
+    """(A, V) -> J' A J, V J, with a rotation J for every off-diagonal entry, which it turns to zero."""
     A, V = first = ca.SX.sym("A", size, size), ca.SX.sym("V", size, size)
     for p, q in combinations(range(size), 2):
         ratio = (A[q, q] - A[p, p]) / (2 * A[p, q])

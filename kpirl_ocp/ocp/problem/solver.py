@@ -38,7 +38,7 @@ class BarrierSolver(Solver, Protocol):
     """A solver that can stop at the solution of min J - tau sum log(slack), a smooth function of psi."""
 
     def with_barrier(self, barrier: float) -> BarrierSolver:
-        """The same solver for the problem smoothed with tau = barrier > 0."""
+        """This solver for the problem smoothed with tau = barrier > 0."""
         ...
 
 
@@ -56,7 +56,7 @@ class LinearisingSolver(Solver, Protocol):
 def solve_and_linearise(
     solver: Solver, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
 ) -> tuple[Solution, StageDerivatives | None]:
-    """The same with any solver."""
+    """A solution and its derivatives by any solver; None for derivatives that it does not hand over."""
     if isinstance(solver, LinearisingSolver):
         return solver.solve_and_linearise(problem, s0, psi, context, guess)
     return solver.solve(problem, s0, psi, context, guess), None

@@ -29,8 +29,8 @@ def condensed_scale(problem: OCP, F: ca.MX, H: ca.MX, last: ca.MX, start: ca.MX)
     def operator(u: ca.MX) -> ca.MX:
         return ca.vec(condense(problem)(F, H, last, ca.reshape(u, *shape)))
 
-    diagonal, beside, _ = lanczos(operator, start, _FIRST_DIGITS)
-    return magnitude(diagonal.numel())(diagonal, beside)
+    diagonal, offdiagonal, _ = lanczos(operator, start, _FIRST_DIGITS)
+    return magnitude(diagonal.numel())(diagonal, offdiagonal)
 
 
 @lru_cache(maxsize=64)
@@ -54,9 +54,9 @@ def largest_inverse(problem: OCP, F: ca.MX, parts: list[ca.MX], start: ca.MX) ->
         reached.append(_inverse(problem, F, parts, ca.vertcat(ca.MX.zeros(n), v)))
         return reached[-1][n:]
 
-    diagonal, beside, basis = lanczos(operator, start, PRODUCTS)
+    diagonal, offdiagonal, basis = lanczos(operator, start, PRODUCTS)
     lowest = ca.sum1(ca.vec(parts[-1] < 0)) > 0
-    value, error, coordinates = outermost(diagonal.numel())(diagonal, beside, lowest)
+    value, error, coordinates = outermost(diagonal.numel())(diagonal, offdiagonal, lowest)
     return [value, error, basis @ coordinates, ca.horzcat(*reached) @ coordinates]
 
 
@@ -80,8 +80,8 @@ def dependence_spectrum(problem: OCP) -> ca.Function:
         w = _inverse(problem, F, parts, transposed_rows(problem, G, b * scale) / DEPENDENCE)
         return (b - rows(problem, operator, w) * scale) / DEPENDENCE
 
-    diagonal, beside, basis = lanczos(multipliers, start, PRODUCTS)
-    value, error, coordinates = outermost(diagonal.numel())(diagonal, beside, 0)
+    diagonal, offdiagonal, basis = lanczos(multipliers, start, PRODUCTS)
+    value, error, coordinates = outermost(diagonal.numel())(diagonal, offdiagonal, 0)
     return ca.Function("dependence_spectrum", [F, G, scale, start], [value, error, basis @ coordinates])
 
 

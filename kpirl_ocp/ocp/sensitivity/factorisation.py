@@ -28,8 +28,8 @@ _EXACT = 1e-13  # relative residual at which refinement stops
 _CLOSE = 1e-10  # below it, a step that gains less than three digits has met the rounding
 _DIGITS = 0.03  # relative distance from some eigenvalue, the outermost or one close to it, at which to stop
 _STARTS = 4
-_SETTLED = 0.1  # the last correction in `follow` over the whole change; where it is small,
-_FOLLOWED = 1e-6  # over the adjoint. The residual, relative, above which these factors were of no use there
+_SETTLED = 0.1  # `follow` stops when the last correction is below this share of the total change,
+_FOLLOWED = 1e-6  # or of the adjoint; and when the relative residual is below this: else the factors do not serve there
 _NOTHING = 1e-8  # an adjoint this much shorter than a free one is zero up to rounding: the constraints leave no freedom
 
 
@@ -63,12 +63,12 @@ class Factorisation:
 
     @property
     def curvature(self) -> float:
-        """See the class."""
+        """Smallest eigenvalue of the reduced Hessian, relative."""
         return self._softest[0]
 
     @property
     def softest(self) -> Array:
-        """See the class."""
+        """Direction (n_w,) of that eigenvalue."""
         return self._softest[1]
 
     @cached_property
@@ -88,7 +88,7 @@ class Factorisation:
 
     @cached_property
     def qualification(self) -> float:
-        """See the class; a singular value is the root of the eigenvalue of a square, here of its inverse."""
+        """Smallest singular value of the active rows: the root of the eigenvalue of a square, here of its inverse."""
         system, active = self._system, self._system.active
         count = int(active.sum())
         if not count:
@@ -143,7 +143,7 @@ class Factorisation:
         return PrimalDual(*result), best
 
     def _steps(self, right: tuple[Array, Array, Array], begun: list[list[Array]]) -> Iterator[list[Array]]:
-        """What `refine` gives in every step, from zero on."""
+        """The results of `refine` step by step, from zero on."""
         yield from begun
         system = self._system
         at = begun[-1][:6] if begun else [*(np.zeros(part.shape) for part in right), *right]

@@ -1,7 +1,7 @@
 """Factors of, and refinement with, the KKT system of `kkt_system`: each one compiled function.
 
 Lists of inequalities and matrices are those of `kkt_operators`. Refinement is the method of multipliers:
-with r, d, c what is left of the right-hand sides and S the stiffness of the active rows,
+with r, d, c the residuals of the right-hand sides and S the stiffness of the active rows,
 
     K (dw, dlambda) = (r + C' S c, d),    dmu = S (C dw - c),    K the factorised system, H + C' S C in its corner.
 """
@@ -86,20 +86,20 @@ def refine(problem: OCP) -> ca.Function:
         (H + rows' sigma rows) w + A' lambda + C' mu = r,    A w = d,    C w = c.
 
     (F, G, P, W, Y, pivots, S, H, H_T, sigma, active (0 or 1), 1/units, r, d, c, and w, lambda, mu with the residuals of
-    r, d, c that they leave) -> the last six after the step, and |r|, |d|, |c / units|, |w| of them.
+    r, d, c at them) -> the last six after the step, and |r|, |d|, |c / units|, |w| of them.
     """
-    given, own = factor_symbols(problem), matrices(problem)
-    F, G, H, last = own
+    factors, system = factor_symbols(problem), matrices(problem)
+    F, G, H, last = system
     stiffness, sigma, active, scale = (ca.MX.sym(name, n_rows(problem)) for name in ("S", "sigma", "active", "scale"))
-    right, point, off = (
+    right, point, residual = (
         _Triple.symbols(problem, *names)
         for names in (("r", "d", "c"), ("w", "lambda", "mu"), ("r_off", "d_off", "c_off"))
     )
-    point_after = point.plus(_correction(problem, F, G, given, stiffness, off))
-    left = _left(problem, Stored(problem, *own), sigma, active, right, point_after)
-    norms = ca.vertcat(_norms(left, scale), ca.norm_2(point_after.w))
-    inputs = [F, G, *given, stiffness, H, last, sigma, active, scale, *right, *point, *off]
-    return ca.Function("refine", inputs, [ca.densify(x) for x in (*point_after, *left, norms)])
+    point_after = point.plus(_correction(problem, F, G, factors, stiffness, residual))
+    residual_after = _residuals(problem, Stored(problem, *system), sigma, active, right, point_after)
+    norms = ca.vertcat(_norms(residual_after, scale), ca.norm_2(point_after.w))
+    inputs = [F, G, *factors, stiffness, H, last, sigma, active, scale, *right, *point, *residual]
+    return ca.Function("refine", inputs, [ca.densify(x) for x in (*point_after, *residual_after, norms)])
 
 
 @lru_cache(maxsize=64)
@@ -108,11 +108,11 @@ def begin(problem: OCP) -> ca.Function:
 
     Two are for (r', 0, 0), one after the other, and one for (r, d, c).
     """
-    given = factor(problem).mx_in()
-    F, G, H, last, sigma, active, *_ = given
+    inputs = factor(problem).mx_in()
+    F, G, H, last, sigma, active, *_ = inputs
     slope, newton = ca.MX.sym("slope", problem.horizon * len_x(problem)), _Triple.symbols(problem, "r", "d", "c")
-    found = factor(problem).call(given)
-    P, W, Y, pivots, stiffness, scale, *_ = found
+    factored = factor(problem).call(inputs)
+    P, W, Y, pivots, stiffness, scale, *_ = factored
     nothing = _Triple(*(ca.MX.zeros(part.shape) for part in newton))
 
     def step(right: _Triple, at: list[ca.MX]) -> list[ca.MX]:
@@ -121,8 +121,8 @@ def begin(problem: OCP) -> ca.Function:
 
     adjoint = nothing._replace(w=slope)
     one = step(adjoint, [*nothing, *adjoint])
-    outputs = [*found, *one, *step(adjoint, one[:6]), *step(newton, [*nothing, *newton])]
-    return ca.Function("begin", [*given, slope, *newton], outputs)
+    outputs = [*factored, *one, *step(adjoint, one[:6]), *step(newton, [*nothing, *newton])]
+    return ca.Function("begin", [*inputs, slope, *newton], outputs)
 
 
 @lru_cache(maxsize=64)
@@ -133,7 +133,7 @@ def follow(problem: OCP) -> ca.Function:
     lambda, mu) -> w, lambda, mu after both steps, and |r|, |d|, |c / units|, |w| after the first one, and the lengths
     of both steps in w.
     """
-    given = factor_symbols(problem)
+    factors = factor_symbols(problem)
     F, G, *_ = matrices(problem)
     at, tau = symbols(problem), ca.MX.sym("tau")
     stiffness, active, scale = (ca.MX.sym(name, n_rows(problem)) for name in ("S", "active", "scale"))
@@ -142,31 +142,33 @@ def follow(problem: OCP) -> ca.Function:
     operator = Lagrangian(problem, *at)
     sigma = _smoothing(problem, operator, tau)
 
-    def left(point: _Triple) -> _Triple:
-        return _left(problem, operator, sigma, active, right, point)
+    def residual(point: _Triple) -> _Triple:
+        return _residuals(problem, operator, sigma, active, right, point)
 
-    one = _correction(problem, F, G, given, stiffness, left(begin))
+    one = _correction(problem, F, G, factors, stiffness, residual(begin))
     middle = begin.plus(one)
-    off = left(middle)
-    other = _correction(problem, F, G, given, stiffness, off)
-    norms = ca.vertcat(_norms(off, scale), *(ca.norm_2(part.w) for part in (middle, one, other)))
-    inputs = [F, G, *given, stiffness, *at, tau, active, scale, right.w, *begin]
+    remaining = residual(middle)
+    other = _correction(problem, F, G, factors, stiffness, remaining)
+    norms = ca.vertcat(_norms(remaining, scale), *(ca.norm_2(part.w) for part in (middle, one, other)))
+    inputs = [F, G, *factors, stiffness, *at, tau, active, scale, right.w, *begin]
     return ca.Function("follow", inputs, [ca.densify(x) for x in (*middle.plus(other), norms)])
 
 
-def _correction(problem: OCP, F: ca.MX, G: ca.MX, given: list[ca.MX], stiffness: ca.MX, off: _Triple) -> _Triple:
+def _correction(problem: OCP, F: ca.MX, G: ca.MX, factors: list[ca.MX], stiffness: ca.MX, residual: _Triple) -> _Triple:
     """dw, dlambda and dmu of one step."""
     n_s, steps = problem.n_states, problem.horizon
-    q, last = by_stage(problem, -off.w - transposed_rows(problem, G, stiffness * off.forces))
-    d = ca.reshape(-off.costates, n_s, steps)
-    states, actions, costates = substitute(problem)(F, *given, q, last, d, ca.MX.zeros(n_s))
+    q, last = by_stage(problem, -residual.w - transposed_rows(problem, G, stiffness * residual.forces))
+    d = ca.reshape(-residual.costates, n_s, steps)
+    states, actions, costates = substitute(problem)(F, *factors, q, last, d, ca.MX.zeros(n_s))
     dw = ca.vertcat(ca.vec(states[:, 1:]), ca.vec(actions))
     stored = Stored(problem, F, G, ca.MX(0, 0), ca.MX(0, 0))
-    return _Triple(dw, ca.vec(costates), stiffness * (rows(problem, stored, dw) - off.forces))
+    return _Triple(dw, ca.vec(costates), stiffness * (rows(problem, stored, dw) - residual.forces))
 
 
-def _left(problem: OCP, operator: Operator, sigma: ca.MX, active: ca.MX, right: _Triple, point: _Triple) -> _Triple:
-    """What a point leaves of the right-hand sides."""
+def _residuals(
+    problem: OCP, operator: Operator, sigma: ca.MX, active: ca.MX, right: _Triple, point: _Triple
+) -> _Triple:
+    """The residuals of the right-hand sides at a point."""
     n_s, steps = problem.n_states, problem.horizon
     x, end = by_stage(problem, point.w)
     values = rows(problem, operator, point.w)
@@ -174,8 +176,8 @@ def _left(problem: OCP, operator: Operator, sigma: ca.MX, active: ca.MX, right: 
     product, last = operator.balance(x, end, ca.reshape(point.costates, n_s, steps), path)
     balance = flat(problem, product, last) + bound_columns(problem) @ bounds
     balance[: n_s * steps] -= point.costates
-    arrived = ca.vec(operator.F_times(x)) - point.w[: n_s * steps]
-    return _Triple(right.w - balance, right.costates - arrived, active * (right.forces - values))
+    successors = ca.vec(operator.F_times(x)) - point.w[: n_s * steps]
+    return _Triple(right.w - balance, right.costates - successors, active * (right.forces - values))
 
 
 def _smoothing(problem: OCP, at: Lagrangian, tau: ca.MX) -> ca.MX:
@@ -188,9 +190,9 @@ def _smoothing(problem: OCP, at: Lagrangian, tau: ca.MX) -> ca.MX:
     return ca.if_else(smoothed * tau > 0, tau / slack**2, 0)
 
 
-def _norms(left: _Triple, scale: ca.MX) -> ca.MX:
+def _norms(residual: _Triple, scale: ca.MX) -> ca.MX:
     """|r|, |d|, |c / units|."""
-    return ca.vertcat(ca.norm_2(left.w), ca.norm_2(left.costates), ca.norm_2(left.forces * scale))
+    return ca.vertcat(ca.norm_2(residual.w), ca.norm_2(residual.costates), ca.norm_2(residual.forces * scale))
 
 
 ALL = (factor, refine, begin, follow, inverse_spectrum, dependence_spectrum, row_variances)
