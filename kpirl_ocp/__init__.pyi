@@ -10,7 +10,7 @@ from .ocp.export.folder import export_c
 from .ocp.problem.ocp import OCP
 from .ocp.problem.statement.continuous import discretise
 from .ocp.problem.statement.soft import Soft
-from .ocp.sensitivity.sensitivity import sensitivity
+from .ocp.sensitivity.solution_sensitivity import sensitivity
 from .ocp.solvers.fatrop import Fatrop
 from .ocp.solvers.gradient_descent import GradientDescent
 from .ocp.solvers.ipopt import Ipopt

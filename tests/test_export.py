@@ -12,7 +12,7 @@ from problems import TABLE
 from kpirl_ocp import Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory, Unrolled
 from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
-from kpirl_ocp.ocp.sensitivity.sensitivity import sensitivity
+from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 from kpirl_ocp.ocp.solvers.sqp import SQP
 
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)

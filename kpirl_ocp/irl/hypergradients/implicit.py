@@ -31,7 +31,7 @@ from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
 from kpirl_ocp.ocp.sensitivity.certificate import check_policy
-from kpirl_ocp.ocp.sensitivity.sensitivity import sensitivity
+from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Demonstration, Solution
 
