@@ -99,7 +99,7 @@ def write_episode(path: Path, episode: Any) -> None:
 
 
 def write_meta(directory: Path, count: int, meta: Mapping[str, Any]) -> None:
-    """Write `meta.json`: the version, the number of episodes, and whatever else is known about them."""
+    """Write `meta.json`: the version, the number of episodes, and further entries."""
     with atomic_write(directory / "meta.json") as file:
         file.write(json.dumps({"version": _VERSION, "episodes": count, **meta}, indent=2).encode())
 

@@ -1,4 +1,4 @@
-"""The exceptions of the toolkit: one small tree, every message says what was wrong and what to do."""
+"""The exceptions of the toolkit: one small tree, every message names the fault and a remedy."""
 
 
 class KpirlError(Exception):
@@ -18,7 +18,7 @@ class ProblemError(KpirlError, ValueError):
 
 
 class SceneError(KpirlError, ValueError):
-    """The simulated scene cannot do what it was asked: a posture out of reach or limits, an unknown link or rate."""
+    """The simulated scene cannot carry out a request: a posture out of reach or limits, an unknown link or rate."""
 
 
 class FileError(KpirlError, ValueError):

@@ -1,4 +1,4 @@
-"""A trained model on disk: a card `NAME.json` that says what it is, and its weights `NAME.safetensors` beside it.
+"""A trained model on disk: a card `NAME.json` that describes it, and its weights `NAME.safetensors` beside it.
 
     {"kind": "kpirl_ocp.dynamics", "version": 1, ...}
 

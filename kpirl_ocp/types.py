@@ -159,12 +159,12 @@ class KKTResiduals:
 
 @dataclass(frozen=True, repr=False)
 class Solution:
-    """A trajectory with the evidence of how good it is.
+    """A trajectory with the evidence for its optimality.
 
     objective: value of the cost.
     psi, context: (n_psi,), (n_c,) that it was solved for; s_0 is states[0].
     barrier: complementarity parameter tau of the problem that was solved; 0 for the problem itself.
-    message: the backend's own word for how it ended.
+    message: the backend's own status text.
     """
 
     trajectory: Trajectory

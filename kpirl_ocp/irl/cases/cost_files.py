@@ -26,7 +26,7 @@ SOLVERS: dict[str, type] = {"gradient_descent": GradientDescent, "riccati": Ricc
 class LearnedCost:
     """A keypoint cost with its parameters, and the inner solver it was learned for.
 
-    psi: (n_psi,). horizon: T. A solver's steps and step size are part of what was learned.
+    psi: (n_psi,). horizon: T. solver: of gradient descent, steps and step size are part of the learned cost.
     """
 
     cost: KeypointCost

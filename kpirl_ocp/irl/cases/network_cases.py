@@ -107,7 +107,7 @@ def network_case(
 ) -> NetworkCase:
     """Demonstrations are motions of the model itself, every joint at its own steady speed, and goals their ends.
 
-    moves: (n_joints,) how far each joint may get [rad].
+    moves: (n_joints,) largest displacement of each joint [rad].
     """
     s0 = np.hstack([z, theta, np.zeros_like(theta)])
     speeds = moves * rng.uniform(-1, 1, theta.shape) / horizon

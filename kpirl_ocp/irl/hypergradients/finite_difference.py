@@ -99,9 +99,9 @@ class FiniteDifference:
 def _derivative(
     evaluate: Callable[[Array], float], centre: float, psi: Array, index: int, step: float
 ) -> tuple[float, float, float, float]:
-    """Derivative along one parameter, its disagreement, the gap between right and left, and the steepest slope seen.
+    """Derivative along one parameter, its disagreement, the gap between right and left, and the steepest slope.
 
-    The slope is what errors are measured against: at a minimum of the loss the derivative vanishes, the slopes do not.
+    Errors are relative to the slope: at a minimum of the loss the derivative vanishes, the slopes do not.
     """
     steps = step / 2.0 ** np.arange(_LEVELS)
     direction = np.eye(len(psi))[index]

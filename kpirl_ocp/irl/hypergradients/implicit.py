@@ -1,4 +1,4 @@
-"""The implicit gradient: differentiate the KKT conditions at a solution, whatever solver found it.
+"""The implicit gradient: differentiate the KKT conditions at the solution of any solver.
 
 With v = (w, lambda, mu) and F(v; psi) = (grad_w Lagrangian, defects, active constraints) = 0, the implicit function
 theorem gives
@@ -41,7 +41,7 @@ class Implicit:
     """The gradient of the loss at the solution of the OCP.
 
     solver: any solver; the policy "smooth" needs one that can solve the smoothed problem (Riccati, Ipopt).
-    policy: what to do with a gradient that is not certified: "raise" CertificateError, "flag" it in the certificate;
+    policy: for a gradient that is not certified, "raise" CertificateError or "flag" it in the certificate;
         "smooth" solves and differentiates the smoothed problem instead, always, so that loss and gradient agree.
     barrier: tau of "smooth"; the smoothed loss differs from the loss by O(tau), or by O(sqrt(tau)) where a
         bound is weakly active.

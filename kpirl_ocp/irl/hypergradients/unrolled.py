@@ -45,7 +45,7 @@ _REMAINDER = 1e-9
 class UnrolledCertificate(Certificate):
     """Evidence for a gradient through gradient steps.
 
-    steps: N. differentiated: how many of the last steps the reverse pass went through.
+    steps: N. differentiated: number of last steps in the reverse pass.
     remainder: |v_{N-k}| / |v_N|, the adjoint at which the reverse pass stopped; it multiplies everything left out.
     kink_distance: smallest distance of an unprojected iterate to its bound; infinite without projection.
     """
@@ -98,8 +98,8 @@ class Unrolled:
 class Truncated:
     """The gradient through the last steps only: biased on purpose, and flagged unless the remainder vanishes.
 
-    last: k, how many of the solver's steps to go back.
-    policy: "flag" by default, because leaving terms out is what the caller asked for.
+    last: k, number of the solver's last steps in the reverse pass.
+    policy: "flag" by default, because the caller asked to leave terms out.
     """
 
     solver: GradientDescent

@@ -4,7 +4,7 @@
     back      w = P' v_{k+1},  v_k = w - alpha H_k w,              v_N = dL/dU
               dL/dtheta = -alpha sum_k d(w . dJ/dU)/dtheta,        and dL/dpsi = (dtheta/dpsi)^T dL/dtheta once
 
-The steps are taken in segments. A segment keeps what the way back needs of every step, or, with checkpoints, is taken
+The steps are taken in segments. A segment keeps a record of every step for the way back, or, with checkpoints, is taken
 again from its first iterate, so that memory grows like sqrt(N).
 """
 
@@ -111,7 +111,7 @@ def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns
 def _segment_back(back: ca.Function, length: int) -> ca.Function:
     """`back` for a segment: records and constants side by side -> v before it, and the sums of the other outputs.
 
-    A function of its own, so that what is summed is not kept for all segments.
+    A function of its own, so that summands are not kept for all segments.
     """
     v, *wide = symbols_like("x", (back.mx_in(0), *repeat(back.mx_in()[1:], length)))
     pieces = [reverse(array, array.size2() // length) for array in wide]

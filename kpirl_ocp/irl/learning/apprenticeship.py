@@ -54,12 +54,16 @@ def apprenticeship(
     discount: float = 1.0,
     initial_spread: float = 0.05,
 ) -> ApprenticeshipResult:
-    """Run the baseline with the same inner loop as the method.
+    """Run the baseline with the inner loop of the unrolled method.
 
-    problem: a keypoint problem with the Weighted cost, identity parametrisation and no effort.
-    rng, initial_spread: the first plan takes random actions of this standard deviation [rad].
+    Args:
+        problem: a keypoint problem with the Weighted cost, identity parametrisation and no effort.
+        epochs: plans after the first one, at most.
+        discount: gamma of the features.
+        rng, initial_spread: the first plan takes random actions of this standard deviation [rad].
 
-    Raises ProblemError for another cost, for no epochs, and if the first plan already has the expert's features.
+    Raises:
+        ProblemError: another cost, no epoch, or a first plan that already has the expert's features.
     """
     if epochs < 1:
         raise ProblemError(f"apprenticeship learning needs at least one epoch, got {epochs}.")

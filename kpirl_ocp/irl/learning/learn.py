@@ -114,11 +114,21 @@ def learn(
     steps: int = 100,
     progress: bool = True,
 ) -> LearningResult:
-    """Learn psi from demonstrations, starting at psi0 (n_psi,), by default with Adam at the paper's learning rate.
+    """Learn psi from demonstrations.
 
-    Ends after `steps`, or sooner when the optimiser stays where it is.
+    Ends after `steps`, or sooner when the optimiser makes no progress.
+
+    Args:
+        psi0: (n_psi,) start.
+        hypergradient: `Implicit()`, `Unrolled(...)`, ...; it holds the inner solver and the loss.
+        optimiser: by default Adam at the paper's learning rate.
+        steps: outer iterations, at most.
+
+    Returns:
+        The psi (n_psi,) with the lowest training loss, the mean over the demonstrations, and the history.
 
     Raises:
+        ProblemError: there is no demonstration, or one does not fit the problem.
         CertificateError: a gradient was not certified and the hypergradient's policy is "raise".
     """
     learner = Learner(problem, tuple(demonstrations), hypergradient, optimiser or Adam())

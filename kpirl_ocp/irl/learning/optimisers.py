@@ -1,4 +1,4 @@
-"""Outer optimisers: how psi moves, given a function that returns loss and gradient.
+"""Outer optimisers: rules for the next psi, given a function that returns loss and gradient.
 
 An optimiser is a small configured object; `start(point)` gives its memory, and `step(evaluate, point, memory)` the next
 point, evaluated, with the next memory. Nothing is kept inside.
@@ -86,7 +86,7 @@ class LBFGS:
 
     memory: number of pairs (s, y) kept.
     first_step: length of the first step, before there is any curvature.
-    tolerance: relative decrease of the loss below which it stays where it is.
+    tolerance: relative decrease of the loss below which it makes no step.
     """
 
     memory: int = 10

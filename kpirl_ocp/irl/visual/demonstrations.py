@@ -1,7 +1,7 @@
 """Demonstrations from detected keypoints: z_t are x and y of K keypoints, z_goal is the last of them.
 
-A robot's own demonstration (paper, section 5.1) comes with its joints. A person's (section 5.2) does not: only how the
-keypoints move relative to the first frame is kept, and the robot starts from its own keypoints,
+A robot's own demonstration (paper, section 5.1) comes with its joints. A person's (section 5.2) does not: only the
+displacements of the keypoints from the first frame are kept, and the robot starts from its own keypoints,
 
     z_demo,t = z_robot,0 + (z_person,t - z_person,0).
 
@@ -31,7 +31,7 @@ def positions(keypoints: ArrayLike) -> Array:
 
 
 def robot_demonstration(dynamics: NetworkDynamics, track: ArmTrack) -> Demonstration:
-    """A demonstration by the robot itself."""
+    """A demonstration by the robot itself: z (T+1, n_z) of the track, its first state, and its last z as the goal."""
     observations = positions(track.keypoints)
     start = dynamics.state(observations[0], track.joints[0], track.velocities[0])
     return Demonstration(start, observations[-1], observations)
@@ -40,9 +40,14 @@ def robot_demonstration(dynamics: NetworkDynamics, track: ArmTrack) -> Demonstra
 def transferred_demonstration(
     dynamics: NetworkDynamics, track: KeypointTrack, keypoints: ArrayLike, joints: ArrayLike
 ) -> Demonstration:
-    """A person's demonstration for a robot at rest that sees its own keypoints (K, 3) and has joints (n_joints,) [rad].
+    """A person's demonstration for a robot at rest.
 
-    Raises ProblemError if the two have different numbers of keypoints.
+    Args:
+        keypoints: (K, 3) of the robot at its start.
+        joints: (n_joints,) of the robot [rad].
+
+    Raises:
+        ProblemError: person and robot have different numbers of keypoints.
     """
     start, person = positions(keypoints), positions(track.keypoints)
     if start.shape != person[0].shape:

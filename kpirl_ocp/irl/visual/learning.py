@@ -85,7 +85,17 @@ def learn_unrolled(
     learning_rate: float = 1e-2,
     effort: Effort | None = None,
 ) -> LearnedPlan:
-    """The paper's Algorithm 1, with Adam. effort: None, as in the paper, or learned from a small value on."""
+    """The paper's Algorithm 1, with Adam.
+
+    Args:
+        iterations: of the outer loop.
+        rng: draws the starting weights.
+        effort: None, as in the paper, or learned from a small value on.
+
+    Raises:
+        ProblemError: demonstrations differ in length.
+        CertificateError: a loss or gradient became NaN.
+    """
     horizon = horizon_of(demonstrations)
     learned = effort is not None
     start: float | tuple[float, ...] = 0.1 * inner.effort if learned else 0.0
@@ -106,7 +116,12 @@ def learn_implicit(
     rng: np.random.Generator,
     effort: Effort = "fixed",
 ) -> LearnedPlan:
-    """The converged inner problem, its implicit gradient and L-BFGS, which may end before `iterations`."""
+    """The converged inner problem, its implicit gradient and L-BFGS, which may end before `iterations`.
+
+    Raises:
+        ProblemError: demonstrations differ in length.
+        CertificateError: the gradient at the start is not certified.
+    """
     horizon = horizon_of(demonstrations)
     rho: float | tuple[float, ...] = (1.0,) * horizon if effort == "learned per step" else 1.0
     cost = KeypointCost(basis, effort=rho, learn_effort=effort != "fixed", positivity="softplus")
@@ -130,7 +145,7 @@ def learn_by_apprenticeship(
 
 
 def horizon_of(demonstrations: Sequence[Demonstration]) -> int:
-    """T, the same for all. Raises ProblemError if it is not."""
+    """The common T. Raises ProblemError if demonstrations differ in length, or there are none."""
     horizons = {len(demonstration.observations) - 1 for demonstration in demonstrations}
     if len(horizons) != 1:
         raise ProblemError(f"demonstrations must have one length, got T = {sorted(horizons) or 'none at all'}.")

@@ -1,7 +1,7 @@
 """Motions of the robot and the hand in front of the camera: one small record per data set of the paper.
 
 Each has the paper's numbers as defaults, a `rate` [Hz], a usual number of `episodes`, and `write(path, rng)`, which
-plays one episode. Numbers that the paper leaves open (where the arm is, how far it moves) are chosen so that the
+plays one episode. Numbers that the paper leaves open (postures, amplitudes) are chosen so that the
 bottle stays in the image.
 """
 
@@ -134,7 +134,7 @@ class Placing(ArmMotion):
     """Data for the dynamics of placing (A.3): a scripted expert places the bottle roughly, with noise on its actions.
 
     The augmentation is the noise and the random turn of the bottle: the expert's path is played from many starts and
-    disturbed at every step, so that the model also sees what lies beside the path.
+    disturbed at every step, so that the data also cover the neighbourhood of the path.
     """
 
     episodes: ClassVar[int] = 100
@@ -274,7 +274,7 @@ def _position(scene: Scene, theta: Array) -> Array:
 
 
 def _follow(scene: Scene, reference: Array, noise: Array | None = None) -> ArmRecording:
-    """Record the robot following joint positions (T+1, 7) [rad]; every action aims from where it is at the next one."""
+    """Record the robot following joint positions (T+1, 7) [rad]; every action aims at the next one."""
     states, frames, actions = [scene.reset(reference[0])], [scene.render()], []
     for step, target in enumerate(reference[1:]):
         actions.append(target - states[-1].positions + (0.0 if noise is None else noise[step]))

@@ -16,7 +16,7 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def natural_order(path: Path) -> tuple[tuple[int, int, str], ...]:
-    """A key that sorts frame2 before frame10, whatever stands around the numbers."""
+    """A key that sorts frame2 before frame10, whatever text surrounds the numbers."""
     parts = re.split(r"(\d+)", path.stem.lower())
     return tuple((1, int(part), "") if part.isdigit() else (0, 0, part) for part in parts)
 

@@ -31,7 +31,7 @@ def iterate_frames(
         path: a video, or a folder of PNG or JPEG pictures in the order of the numbers in their names.
         source_rate: [Hz] of a folder of pictures; a video has times of its own.
         longest: larger frames are scaled down until their longer side has this many pixels.
-        end: [s] of the last frame; what comes later need not be whole.
+        end: [s] of the last frame; the file may be damaged after it.
 
     Raises:
         FileError: the file is missing, no video, of an unknown codec or incomplete; the message names it.

@@ -2,7 +2,7 @@
 
     frame_t -> encoder -> scores -> keypoints z_t -> Gaussian maps -> decoder -> frame_0 + predicted change
 
-The decoder also sees features and maps of the first frame, so that the keypoints need to tell only what moved
+The decoder also sees features and maps of the first frame, so that the keypoints need to encode changes only
 (Minderer et al., 2019). The encoder is a small ResNet-18 with group normalisation (paper, A.1), or plain convolutions.
 """
 

@@ -47,7 +47,17 @@ class KeypointDetector:
         return write_model(Path(path), DETECTOR, tensors, card)
 
     def detect(self, images: Frames) -> Array:
-        """Keypoints (n, K, 3) of images (n, H, W, 3) uint8 RGB, square."""
+        """Detect the keypoints of images, each image by itself.
+
+        Args:
+            images: (n, S, S, 3) uint8 RGB, square, of any size S.
+
+        Returns:
+            (n, K, 3): x and y [half an image] and the confidence mu in [0, 1].
+
+        Raises:
+            ProblemError: images of another shape or type.
+        """
         images = np.asarray(images)
         if images.ndim != 4 or images.shape[1] != images.shape[2] or images.shape[3] != 3 or images.dtype != np.uint8:
             raise ProblemError(

@@ -95,7 +95,7 @@ def attention(scores: Tensor, moving: Tensor) -> Tensor:
 def appearance(clips: Tensor, scores: Tensor) -> Tensor:
     """Variance over frames and clips of the colour under each keypoint, sum_ij p_ij colour_ij, summed over colours.
 
-    What is the same in all clips is the object; robot, gripper, hand and sleeve are not.
+    Only the object is common to all clips; robot, gripper, hand and sleeve are not.
     """
     colours = functional.adaptive_avg_pool2d(clips.flatten(0, 1), scores.shape[-1]).unflatten(0, clips.shape[:2])
     under = torch.einsum("btkij,btcij->btkc", spatial_softmax(scores), colours)

@@ -47,12 +47,12 @@ def contact_sheet(path: Path, rows: Mapping[str, tuple[Frames, Array]], columns:
 
 
 def track_video(path: Path, images: Frames, keypoints: Array, rate: float) -> Path:
-    """An .mp4 of images (n, S, S, 3), twice as large, with keypoints (n, K, 3) and where they came from."""
+    """An .mp4 of images (n, S, S, 3), twice as large, with keypoints (n, K, 3) and their past paths."""
     return write_video(path, with_tracks(images, keypoints), rate, codec="h264")
 
 
 def with_tracks(images: Frames, keypoints: Array) -> Frames:
-    """The images (n, S, S, 3), twice as large, with keypoints (n, K, 3) and where they came from."""
+    """The images (n, S, S, 3), twice as large, with keypoints (n, K, 3) and their past paths."""
     size = _ZOOM * images.shape[1]
     pixels = to_pixels(keypoints, size)
     drawn = []

@@ -57,7 +57,15 @@ class DynamicsModel(nn.Module):
             self.get_buffer(f"{name}_scale").copy_(torch.where(deviation > 1e-6, deviation, 1.0))
 
     def forward(self, z: Tensor, theta: Tensor, velocity: Tensor, u: Tensor) -> Tensor:
-        """z_{t+1} (..., n_z)."""
+        """One step of the dynamics.
+
+        Args:
+            z: (..., n_z) x and y of the keypoints [half an image]. theta: (..., n_joints) [rad].
+            velocity: (..., n_joints) [rad/s]. u: (..., n_joints) joint displacements [rad].
+
+        Returns:
+            z_{t+1} (..., n_z).
+        """
         inputs = torch.cat([z, theta, velocity, u], -1)
         x = (inputs - self.get_buffer("input_mean")) / self.get_buffer("input_scale")
         for layer in self.layers[:-1]:

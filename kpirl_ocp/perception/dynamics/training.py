@@ -1,9 +1,9 @@
-"""Train the dynamics of keypoints, and measure it beside "nothing moves".
+"""Train the dynamics of keypoints, and compare it with persistence, "nothing moves".
 
     NMSE = mean over coordinates of  mean |z_hat - z|^2 / var z
 
 (paper, A.3). Because keypoints move little in one step, predicting no motion at all already has a small NMSE: every
-score therefore stands beside this persistence.
+score is therefore given together with that of persistence.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _VALIDATION = 0.1  # share of the trajectories that decides when to stop
 class DynamicsSettings:
     """Settings of the training.
 
-    activation: of the hidden layers. steps: H >= 1, over how many predicted steps the loss is taken.
+    activation: of the hidden layers. steps: H >= 1, number of predicted steps in the loss.
     epochs: at most. batch: stretches of H steps per update. step_size: of Adam, falling to zero along a cosine.
     weight_decay: of Adam. patience: epochs without a better validation loss before it stops.
     """

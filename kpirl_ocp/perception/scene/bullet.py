@@ -1,4 +1,4 @@
-"""PyBullet without its greetings, which go past Python's own streams into what scripts print."""
+"""PyBullet without its greetings, which bypass Python's streams and would mix with a script's output."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Send what C code writes to the process's standard streams nowhere."""
+    """Discard the output of C code to the process's standard streams."""
     library = ctypes.CDLL(None)
     library.fflush(None)
     kept = os.dup(1), os.dup(2)

@@ -1,4 +1,4 @@
-"""A pinhole camera: where it stands, and where a point in the world appears in its image.
+"""A pinhole camera: its pose, and the projection of points of the world into its image.
 
     p ~ K (R x + t),    K = [[f, 0, W/2], [0, f, H/2], [0, 0, 1]],    f = (H/2) / tan(fov/2)
 
@@ -20,7 +20,7 @@ from kpirl_ocp.types import Array
 class Camera:
     """A fixed camera.
 
-    eye, target: (3,) [m] where it is and what is in the middle of its image; `up` is up in the image.
+    eye, target: (3,) [m] position of the camera, and the point in the middle of its image; `up` is up in the image.
     field_of_view: vertical opening angle [deg]. width, height: [pixels].
     """
 

@@ -1,4 +1,4 @@
-"""The scene: an iiwa that holds a bottle in front of a shelf, seen by one fixed camera (PyBullet, no window).
+"""The scene: an iiwa that holds a bottle in front of a shelf, in front of one fixed camera (PyBullet, no window).
 
 The arm is not an ideal integrator. `step(u)` commands the measured position plus u and lets the motors follow for one
 period, with limited gain and velocity, so that the executed motion falls short of the commanded one.
@@ -69,11 +69,6 @@ class Scene(World):
         self.joint_limits = np.array([info[8] for info in moving]), np.array([info[9] for info in moving])
         self.reset(np.zeros(len(moving)))
         return self
-
-    @property
-    def links(self) -> tuple[str, ...]:
-        """Names of all links but the base."""
-        return tuple(self._links)
 
     def reset(self, theta: ArrayLike) -> JointState:
         """Put the arm at rest at theta (7,) [rad]. Raises SceneError outside the joint limits."""

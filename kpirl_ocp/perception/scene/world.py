@@ -43,7 +43,7 @@ W = TypeVar("W", bound="World")
 class World:
     """A PyBullet world without a window, with table, shelf and one camera; use it in a `with` block.
 
-    Several may be open at once. The furniture is seen, but nothing collides with it.
+    Several may be open at once. The furniture is visible, but nothing collides with it.
     """
 
     camera: Camera = field(default_factory=Camera)
