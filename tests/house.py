@@ -49,6 +49,7 @@ ORDER = {
         ("plant",),
     ],
 }
+OUTSIDE = {"scripts", "tests", "bench", "experiments", "reproduction"}
 MOST_FILES, MOST_LINES = 12, 300
 
 
@@ -119,7 +120,7 @@ class House:
             layer, leaf = self.layer(module), LEAVES.get(module.removeprefix("kpirl_ocp."))
             for target, _ in found:
                 top, parts = target.split(".")[0], target.split(".")
-                if top in ("scripts", "tests"):
+                if top in OUTSIDE:
                     wrong = True
                 elif top == "kpirl_ocp" and leaf is not None:
                     wrong = len(parts) < 2 or parts[1] not in leaf
