@@ -75,10 +75,10 @@ def terminal_inequality(opti, X, U):
 
 
 def disc(opti, X, U):
-    """The last state keeps out of the disc, too."""
+    """The last state keeps within the disc, too."""
     given(opti, X)
     for t in range(T + 1):
-        opti.subject_to((X[0, t] - 1) ** 2 + X[1, t] ** 2 >= 0.09)
+        opti.subject_to(X[0, t] ** 2 + X[1, t] ** 2 <= 0.5)
     return follow(opti, X, U)
 
 
@@ -191,7 +191,7 @@ CASES = {
     "terminal equality": lambda: Case(state(terminal_equality=S - ca.DM([0.6, 0])), REST, terminal_equality),
     "path equality": lambda: Case(state(path_equality=U + 0.8 * S[1] - 0.3 * ca.cos(S[0])), REST, path_equality),
     "terminal inequality": lambda: Case(state(terminal_constraint=ca.sumsqr(S) - 0.4), REST, terminal_inequality),
-    "states alone": lambda: Case(state(path_constraint=0.09 - ca.sumsqr(S - ca.DM([1, 0]))), REST, disc),
+    "states alone": lambda: Case(state(path_constraint=ca.sumsqr(S) - 0.5), REST, disc),
     "context and schedule in the dynamics": lambda: Case(
         state(
             context=C,

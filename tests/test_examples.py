@@ -1,0 +1,35 @@
+"""The examples run, and print the numbers that are known."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "examples"
+EXAMPLES = sorted(path.name for path in FOLDER.glob("*.py"))
+PRINTED = {  # closed forms, or what the data were made with
+    "minimum_time.py": r"time 2\.000000 s, switching after 10 of 20 steps",
+    "goal.py": r"ends at \[1\. 1\.\], off the curve by \de-1\d;",
+    "keep_out.py": r"smallest distance 0\.500000 of 0\.5; CONVERGED",
+    "identification.py": r"stiffness and damping \[4\.  0\.2\], first speed -0\.1000",
+    "periodic.py": r"back to itself but for \de-1\d;",
+    "differential_equation.py": r"(?s)midpoint +CONVERGED.*collocation +CONVERGED.*idas +CONVERGED",
+    "soft.py": r"price 10\.0: highest position 0\.5000",
+}
+
+
+def test_there_are_examples():
+    assert len(EXAMPLES) >= 10
+    assert set(PRINTED) <= set(EXAMPLES)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_runs_is_short_and_prints_what_is_known(name):
+    assert len((FOLDER / name).read_text().splitlines()) < 30
+    environment = os.environ | {"PYTHONPATH": str(FOLDER.parent)}
+    ran = subprocess.run([sys.executable, FOLDER / name], capture_output=True, text=True, env=environment, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert re.search(PRINTED.get(name, r"\S"), ran.stdout), ran.stdout
