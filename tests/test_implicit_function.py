@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from dense_kkt import derivative
+from kkt_products import times_hessian, times_jacobian
 from problems import TABLE, network, swing_up
 
 from kpirl_ocp import Ipopt, Riccati
@@ -97,8 +98,8 @@ def test_curvature_and_qualification_equal_their_dense_definitions():
     system, factors = function.system, function.factors
     n, size = len(system.defects), len(pack(solution.trajectory))
     columns = np.eye(size)
-    H = np.array([system.times_hessian(column) for column in columns])
-    A = np.array([system.times_jacobian(column) for column in columns]).T
+    H = np.array([times_hessian(system, column) for column in columns])
+    A = np.array([times_jacobian(system, column) for column in columns]).T
     Z = np.vstack([-np.linalg.solve(A[:, :n], A[:, n:]), np.eye(size - n)])
     rows = np.array([system.times_rows(column) for column in columns]).T[system.active] @ Z
     rows /= np.linalg.norm(rows, axis=1, keepdims=True)

@@ -6,6 +6,7 @@ from functools import partial
 import casadi as ca
 import numpy as np
 import pytest
+from kkt_products import times_hessian, times_jacobian, times_transposed_jacobian
 from problems import TABLE, integrator, network
 
 from kpirl_ocp.ocp.codegen.numpy_calls import Call, call
@@ -55,9 +56,9 @@ def test_products_with_stage_matrices_are_those_with_derivatives_of_the_whole_pr
         (system.defects, defects.ravel()),
         (system.slack[len(system.slack) - len(path) :], -path.ravel()),
         (system.gradient, slope.ravel()),
-        (system.times_hessian(w), H @ w),
-        (system.times_jacobian(w), A @ w),
-        (system.times_transposed_jacobian(costates), A.T @ costates),
+        (times_hessian(system, w), H @ w),
+        (times_jacobian(system, w), A @ w),
+        (times_transposed_jacobian(system, costates), A.T @ costates),
         (instance.path_forces(system.times_rows(w)), G @ w),
     ]:
         scale = max(1.0, np.abs(expected).max(initial=0.0))
@@ -83,11 +84,11 @@ def test_products_without_matrices_are_those_with_them(name):
     shaped = [v.reshape(at[i].shape, order="F") for i, v in enumerate(instance.arguments(point))]
     found = [np.array(value).ravel() for value in evaluate(*shaped, *direction)]
     n = len(point.costates)
-    pulled = system.times_transposed_jacobian(dcostates) + np.append(dcostates, np.zeros(len(w) - n))
+    pulled = times_transposed_jacobian(system, dcostates) + np.append(dcostates, np.zeros(len(w) - n))
     slope = system.gradient + np.append(point.costates, np.zeros(len(w) - n))
     expected = [
-        system.times_hessian(w) + pulled + system.times_transposed_rows(dforces),
-        system.times_jacobian(w) + w[:n],
+        times_hessian(system, w) + pulled + system.times_transposed_rows(dforces),
+        times_jacobian(system, w) + w[:n],
         instance.path_forces(system.times_rows(w)),
         slope,
     ]
@@ -151,7 +152,7 @@ def test_row_variances_are_those_of_the_dense_condensed_rows(name):
     instance, point = random_point(TABLE[name]())
     system = linearise(instance, point, np.zeros(len(point.forces), bool))
     n = len(point.costates)
-    A = np.array([system.times_jacobian(column) for column in np.eye(len(point.w))]).T
+    A = np.array([times_jacobian(system, column) for column in np.eye(len(point.w))]).T
     Z = np.vstack([-np.linalg.solve(A[:, :n], A[:, n:]), np.eye(len(point.w) - n)])
     rows = np.array([system.times_rows(column) for column in Z.T]).T
     (found,) = call(instance.problem, kkt_spectra.row_variances)(system.F, system.G)
@@ -172,13 +173,13 @@ def test_residuals_that_a_step_of_refinement_reports_are_those_of_the_system(nam
     step = call(instance.problem, kkt_solves.refine)
     forces = np.where(some, forces, 0.0)
     *found, norms = step(system.F, system.G, *factors, stiffness, *system_side, w, costates, forces, *off)
-    balance = system.times_hessian(w) + system.times_transposed_jacobian(costates)
+    balance = times_hessian(system, w) + times_transposed_jacobian(system, costates)
     expected = [
         w,
         costates,
         forces,
         right - balance - system.times_transposed_rows(forces),
-        defects - system.times_jacobian(w),
+        defects - times_jacobian(system, w),
         np.where(some, values - system.times_rows(w), 0.0),
     ]
     for one, other in zip(found, expected, strict=True):

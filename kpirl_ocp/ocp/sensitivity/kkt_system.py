@@ -160,23 +160,6 @@ class KKTSystem:
         n_s = len(last)
         return np.concatenate([x[1:, :n_s].ravel(), last, x[:, n_s:].ravel()])
 
-    def times_hessian(self, w: Array) -> Array:
-        """H w (n_w,), without stiffness."""
-        x, last = self.by_stage(w)
-        return self.flat((self.H @ x[:, :, None])[:, :, 0], self.H_last @ last)
-
-    def times_jacobian(self, w: Array) -> Array:
-        """A w (T n_s,)."""
-        x, _ = self.by_stage(w)
-        return (x[:, None, :] @ self.F).ravel() - w[: len(self.defects)]
-
-    def times_transposed_jacobian(self, costates: Array) -> Array:
-        """A' lambda (n_w,)."""
-        n_s = len(self.H_last)
-        product = self.flat((self.F @ costates.reshape(-1, n_s, 1))[:, :, 0], np.zeros(n_s))
-        product[: len(costates)] -= costates
-        return product
-
 
 def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
     """The point of a solution."""
