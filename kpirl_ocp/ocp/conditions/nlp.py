@@ -14,6 +14,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from kpirl_ocp.ocp.problem import layout
 from kpirl_ocp.ocp.problem.constraints import BoundRows
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Multipliers, Trajectory
@@ -53,7 +54,7 @@ def transcribe(problem: OCP) -> NLP:
     path = ca.vec(problem.path(states, actions, psi, context))
 
     point = [w, s0, psi, context]
-    lower, upper = _limits(problem)
+    lower, upper = (bound[n_s:] for bound in layout.limits(problem))
     return NLP(
         symbols={"w": w, "p": ca.vertcat(s0, psi, context), "s0": s0, "psi": psi, "c": context},
         values=ca.Function("values", point, [objective, defects, path]),
@@ -63,23 +64,14 @@ def transcribe(problem: OCP) -> NLP:
     )
 
 
-def _limits(problem: OCP) -> tuple[Array, Array]:
-    """Lower and upper bounds (n_w,)."""
-    pairs = zip(map(np.asarray, problem.state_bounds), map(np.asarray, problem.action_bounds), strict=True)
-    lower, upper = (np.concatenate([states[1:].ravel(), actions.ravel()]) for states, actions in pairs)
-    return lower, upper
-
-
 def pack(trajectory: Trajectory) -> Array:
     """w (n_w,) of a trajectory."""
-    return np.concatenate([trajectory.states[1:].ravel(), trajectory.actions.ravel()])
+    return layout.pack(trajectory)[trajectory.states.shape[1] :]
 
 
 def unpack(problem: OCP, s0: Array, w: Array) -> Trajectory:
     """The trajectory of w (n_w,), with s0 in front."""
-    split = problem.horizon * problem.n_states
-    states = np.vstack([s0, w[:split].reshape(problem.horizon, problem.n_states)])
-    return Trajectory(states, w[split:].reshape(problem.horizon, problem.n_actions))
+    return layout.unpack(problem, np.concatenate([s0, w]))
 
 
 def unpack_multipliers(problem: OCP, lam_w: Array, lam_g: Array) -> Multipliers:
@@ -95,10 +87,10 @@ def unpack_multipliers(problem: OCP, lam_w: Array, lam_g: Array) -> Multipliers:
 
 def bound_multipliers(multipliers: Multipliers) -> Array:
     """nu (n_w,): multipliers of the bounds in the order of w."""
-    return np.concatenate([multipliers.state[1:].ravel(), multipliers.action.ravel()])
+    return layout.bound_multipliers(multipliers)[multipliers.state.shape[1] :]
 
 
 @lru_cache(maxsize=64)
 def bound_rows(problem: OCP) -> BoundRows:
     """The finite bounds of w (n_w,)."""
-    return BoundRows.of(*_limits(problem))
+    return BoundRows.of(*(bound[problem.n_states :] for bound in layout.limits(problem)))
