@@ -126,7 +126,15 @@ class KeypointCost:
         return np.hstack([np.vstack([np.zeros_like(columns[:1]), columns]), np.vstack([effort, 0 * effort[:1]])])
 
     def stage_cost(self, z: ca.SX, u: ca.SX, psi: ca.SX, goal: ca.SX, stage: ca.SX) -> ca.SX:
-        """Cost of one stage; `stage` is the schedule's row d_t."""
+        """The cost of one stage as a scalar expression.
+
+        Args:
+            z: keypoints (n_z,).
+            u: actions (n_u,).
+            psi: parameters (n_psi,).
+            goal: z_goal (n_z,).
+            stage: row d_t of the schedule (n_d,).
+        """
         n_weights = stage.numel() - (np.size(self.effort) if self.learn_effort else 1)
         kernels, effort = stage[:n_weights], stage[n_weights:]
         positive = PARAMETRISATIONS[self.positivity].forward
@@ -141,7 +149,16 @@ class KeypointCost:
         return n_weights + (len(self._efforts(horizon)) if self.learn_effort else 0)
 
     def initial(self, horizon: int, n_observations: int, weights: ArrayLike = 1.0) -> Array:
-        """psi with all kernel weights g(Psi) equal to `weights` (broadcast to (J, n_z)) and the effort as given."""
+        """psi (n_psi,) of given weights, and of the effort as it stands.
+
+        Args:
+            horizon: T.
+            n_observations: n_z.
+            weights: g(Psi), broadcast to (J, n_z).
+
+        Raises:
+            ProblemError: weights that the map g cannot represent.
+        """
         kernels = self.basis.matrix(horizon).shape[1]
         wanted = np.broadcast_to(np.asarray(weights, float), (kernels, n_observations)).ravel()
         if self.learn_effort:

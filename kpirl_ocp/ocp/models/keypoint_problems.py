@@ -34,11 +34,21 @@ def keypoint_ocp(
     joint_limits: bool = True,
     max_displacement: float = np.inf,
 ) -> OCP:
-    """Plan keypoints of `robot` to the goal z_goal, the context (3 K,), with ground-truth kinematics.
+    """Plan keypoints of an arm to the goal z_goal with ground-truth kinematics.
 
-    unit: length of one keypoint unit [m]; 0.01 gives keypoints in centimetres.
-    joint_limits: bound theta by the limits of the URDF.
-    max_displacement: largest |u| per step and joint [rad].
+    Args:
+        robot: with K keypoints.
+        cost: of keypoints and actions.
+        horizon: T, steps.
+        unit: length of one keypoint unit [m]; 0.01 gives keypoints in centimetres.
+        joint_limits: bound theta by the limits of the URDF.
+        max_displacement: largest |u| per step and joint [rad].
+
+    Returns:
+        A problem with states (3 K + 2 n_joints,), actions (n_joints,) and the context z_goal (3 K,).
+
+    Raises:
+        ProblemError: a unit or displacement that is not positive, or a cost that does not fit the horizon.
     """
     if not unit > 0 or not max_displacement > 0:
         raise ProblemError(f"unit and max_displacement must be positive, got {unit!r} and {max_displacement!r}.")
@@ -76,10 +86,21 @@ def network_ocp(
     joint_limits: Bounds = UNBOUNDED,
     max_displacement: float = np.inf,
 ) -> OCP:
-    """Plan keypoints in the image to the goal z_goal, the context (n_z,), with a learned model.
+    """Plan keypoints in the image to the goal z_goal with a learned model.
 
-    joint_limits: (lower, upper) bounds of theta, each a number or (n_joints,) [rad].
-    max_displacement: largest |u| per step and joint [rad].
+    Args:
+        dynamics: the model, n_z image coordinates and n_joints joints.
+        cost: of keypoints and actions.
+        horizon: T, steps of the model (1 / rate [s] each).
+        joint_limits: (lower, upper) bounds of theta, each a number or (n_joints,) [rad].
+        max_displacement: largest |u| per step and joint [rad].
+
+    Returns:
+        A problem with states (n_z + 2 n_joints,), actions (n_joints,) and the context z_goal (n_z,).
+
+    Raises:
+        ProblemError: limits that make no interval, a displacement that is not positive, or a cost that does not fit
+            the horizon.
     """
     if not max_displacement > 0:
         raise ProblemError(f"max_displacement must be positive, got {max_displacement!r}.")
@@ -105,7 +126,19 @@ def network_ocp(
 
 
 def keypoint_state(robot: Robot, theta: ArrayLike, unit: float = 1.0) -> Array:
-    """State (3 K + 2 n_joints,) of the arm at rest at theta (n_joints,) [rad]."""
+    """The state of an arm at rest.
+
+    Args:
+        robot: with K keypoints.
+        theta: joint positions (n_joints,) [rad].
+        unit: length of one keypoint unit [m].
+
+    Returns:
+        (3 K + 2 n_joints,): keypoints [unit], theta, and velocities of zero.
+
+    Raises:
+        ProblemError: joint positions of another number, or not finite.
+    """
     theta = np.asarray(theta, float)
     if theta.shape != (robot.n_joints,) or not np.isfinite(theta).all():
         raise ProblemError(f"theta must be {robot.n_joints} finite joint positions, got {theta!r}.")

@@ -67,9 +67,15 @@ class MLP:
         return self.weights[-1].shape[0]
 
     def normalised(self, mean_in: ArrayLike, scale_in: ArrayLike, mean_out: ArrayLike, scale_out: ArrayLike) -> MLP:
-        """mean_out + scale_out * MLP((x - mean_in) / scale_in), folded into the first and the last layer.
+        """The network mean_out + scale_out * MLP((x - mean_in) / scale_in), folded into its first and last layer.
 
-        Raises ProblemError for an output activation, after which nothing can be folded, and for scales not above zero.
+        Args:
+            mean_in, scale_in: (n_in,).
+            mean_out, scale_out: (n_out,).
+
+        Raises:
+            ProblemError: an output activation, after which nothing can be folded; scales that are not positive; or
+                another shape.
         """
         if self.activations[-1] != "identity":
             raise ProblemError(f"a normalised network needs a linear last layer, not {self.activations[-1]!r}.")
