@@ -16,8 +16,7 @@ from importlib import import_module
 from pathlib import Path
 
 from kpirl_ocp.cli.parser import Parser, build_parser, write_config
-from kpirl_ocp.cli.values import suggestion
-from kpirl_ocp.errors import KpirlError, OptionError
+from kpirl_ocp.errors import KpirlError, OptionError, suggestion
 from kpirl_ocp.version import __version__
 
 COMMANDS = ("solve",)

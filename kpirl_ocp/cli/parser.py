@@ -12,8 +12,8 @@ from typing import Any, NoReturn
 
 import yaml
 
-from kpirl_ocp.cli.values import existing_file, suggestion
-from kpirl_ocp.errors import OptionError
+from kpirl_ocp.cli.values import existing_file
+from kpirl_ocp.errors import OptionError, suggestion
 
 _COMMON = ("config", "quiet", "help")
 

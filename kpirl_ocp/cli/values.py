@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterable
 from pathlib import Path
+
+from kpirl_ocp.errors import suggestion
 
 
 def whole(least: int) -> Callable[[str], int]:
@@ -51,12 +52,6 @@ def one_of(names: Iterable[str]) -> Callable[[str], str]:
         return word
 
     return parse
-
-
-def suggestion(word: str, known: Iterable[str]) -> str:
-    """ ": did you mean X?" with the nearest of the known names, or nothing if none is near."""
-    near = difflib.get_close_matches(word, list(known), n=1)
-    return f": did you mean {near[0]!r}?" if near else ""
 
 
 def existing_directory(word: str) -> Path:

@@ -14,7 +14,7 @@ from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.own import load_own
 from kpirl_ocp.ocp.models.keypoint_costs import Default, KeypointCost
 from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state
-from kpirl_ocp.ocp.models.robot import Robot
+from kpirl_ocp.ocp.models.robot import Robot, held_object
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.solvers.fatrop import Fatrop
@@ -35,11 +35,13 @@ def main(args: Namespace) -> int:
     return 0 if solution.status.ok else 1
 
 
-def robot_called(name: str) -> Robot:
-    """The iiwa, a robot of example-robot-data, or that of a .urdf file."""
+def robot_called(name: str, tool: str | None = None) -> Robot:
+    """The iiwa, a robot of example-robot-data, or that of a file; with the object at its tool."""
+    keypoints = () if tool is None else held_object(tool)
     if name == "iiwa":
-        return Robot.iiwa()
-    return Robot.from_urdf(name) if "." in name or "/" in name else Robot.from_example_data(name)
+        return Robot.iiwa(keypoints)
+    build = Robot.from_urdf if "." in name or "/" in name else Robot.from_example_data
+    return build(name, keypoints)
 
 
 def solver_of(args: Namespace) -> Solver:
@@ -59,9 +61,8 @@ def bent_posture(robot: Robot) -> Array:
 
 
 def _solve_arm(args: Namespace) -> tuple[Solution, list[tuple[str, object]], Path]:
-    options = {name: getattr(args, name) if getattr(args, name) is not None else ARM[name] for name in ARM}
-    vars(args).update(options)
-    robot = robot_called(args.robot)
+    vars(args).update({name: value for name, value in ARM.items() if getattr(args, name) is None})
+    robot = robot_called(args.robot, args.tool)
     problem = keypoint_ocp(
         robot,
         KeypointCost(Default(), effort=args.effort),

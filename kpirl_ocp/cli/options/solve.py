@@ -17,7 +17,7 @@ from argparse import ArgumentParser
 from kpirl_ocp.cli.values import one_of, own_function, real, whole
 
 SOLVERS = ("riccati", "ipopt", "fatrop", "sqp", "gradient")
-ARM = {"robot": "iiwa", "move": [0.1, 0.0, -0.2], "horizon": 10, "effort": 0.1, "max_displacement": 0.2}
+ARM = {"robot": "iiwa", "move": [0.1, 0.0, -0.2], "horizon": 10, "effort": 0.1, "max_displacement": 0.2, "tool": None}
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -28,6 +28,7 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument("--step-size", type=real(above=0), default=3e-3, help="of the gradient solver (default: 0.003)")
     arm = parser.add_argument_group("the arm's problem")
     arm.add_argument("--robot", help="iiwa (default), a name of example-robot-data (panda, ur5), or a .urdf file")
+    arm.add_argument("--tool", metavar="LINK", help="that holds the object (default: the one at the end, if it is one)")
     arm.add_argument("--move", type=real(), nargs=3, metavar=("DX", "DY", "DZ"), help="[m] (default: 0.1 0 -0.2)")
     arm.add_argument("--horizon", type=whole(1), help="time steps T (default: 10)")
     arm.add_argument("--effort", type=real(least=0), help="weight rho of |u|² (default: 0.1)")

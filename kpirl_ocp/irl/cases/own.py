@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 import sys
 import traceback
@@ -13,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import ProblemError, suggestion
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
 
@@ -83,9 +82,8 @@ def _checked(place: str, returned: object) -> OwnProblem:
         raise ProblemError(f"{place}: {_EXPECTED}, not {type(problem).__name__} and {type(numbers).__name__}.")
     for key in numbers:
         if key not in _KEYS:
-            near = difflib.get_close_matches(str(key), _KEYS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(_KEYS)}."
-            raise ProblemError(f"{place}: no number is called {key!r}: {hint}")
+            hint = suggestion(str(key), _KEYS) or f"; there are {', '.join(_KEYS)}."
+            raise ProblemError(f"{place}: no number is called {key!r}{hint}")
     shapes = {"s0": (problem.n_states,), "psi": (problem.n_parameters,), "context": (problem.n_context,)}
     arrays = {name: _array(place, numbers, name, shape) for name, shape in shapes.items()}
     observed = (problem.horizon + 1, problem.n_observations)

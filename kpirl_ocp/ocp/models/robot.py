@@ -12,17 +12,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 
 from kpirl_ocp.assets import iiwa_urdf
-from kpirl_ocp.errors import DependencyError, RobotError
-
-_REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
-_CONTINUOUS = ("JointModelRUBX", "JointModelRUBY", "JointModelRUBZ", "JointModelRevoluteUnboundedUnaligned")
-_PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
+from kpirl_ocp.errors import RobotError
+from kpirl_ocp.ocp.models.robot_files import CONTINUOUS, MIMIC, example_urdf, link_names, read_urdf, tool_link
 
 # Corners of a held object in its link's frame [m]: the bottom of a bottle and two points at its shoulder.
 _OBJECT = ((0.0, 0.0, 0.10), (0.06, 0.0, 0.22), (0.0, 0.06, 0.22))
@@ -55,30 +53,29 @@ class Robot:
     def from_urdf(cls, path: str | Path, keypoints: Mapping[str, object] | tuple[Keypoint, ...] = ()) -> Robot:
         """Read a URDF; `keypoints` are `Keypoint`s, or a mapping from link name to points (n, 3) [m].
 
-        Without keypoints the last link holds an object with three of them, not on one line.
+        Without keypoints the tool holds an object with three of them, not on one line. The tool is the link that is
+        called so (tool0, tcp, end_effector and the like) or the only one at the end of the joints. Joints that mimic
+        another one follow it and have no coordinate.
 
         Raises:
-            RobotError: the file cannot be read, a keypoint names a missing link, or a joint type is unknown.
+            RobotError: the file cannot be read, no joint moves, one has no range or an unknown type, a keypoint names
+                a missing link, or there are none and several links could be the tool.
         """
-        model = _read_urdf(Path(path))
-        robot = cls(model, _as_keypoints(keypoints) or _object_held_by(_last_link(model)))
-        _check_joints(model)
+        model = read_urdf(Path(path))
+        robot = cls(model, _as_keypoints(keypoints) or held_object(tool_link(model)))
         for keypoint in robot.keypoints:
             robot.frame_id(keypoint.link)
         return robot
 
     @classmethod
     def iiwa(cls, keypoints: Mapping[str, object] | tuple[Keypoint, ...] = ()) -> Robot:
-        """The KUKA LBR iiwa of `pybullet_data` (located without importing PyBullet)."""
+        """The KUKA LBR iiwa 14."""
         return cls.from_urdf(iiwa_urdf(), keypoints)
 
     @classmethod
     def from_example_data(cls, name: str, keypoints: Mapping[str, object] | tuple[Keypoint, ...] = ()) -> Robot:
-        """An arm of the package example-robot-data by name, e.g. "panda" or "ur5"."""
-        files = _example_urdfs()
-        if name not in files:
-            raise RobotError(f"example-robot-data has no robot {name!r}; it has: {', '.join(sorted(files))}.")
-        return cls.from_urdf(files[name], keypoints)
+        """An arm of the package example-robot-data (extra `robots`) by name, e.g. "panda" or "ur5"."""
+        return cls.from_urdf(example_urdf(name), keypoints)
 
     @property
     def n_joints(self) -> int:
@@ -95,7 +92,7 @@ class Robot:
         """Lower and upper joint positions of the URDF, each (n_joints,); infinite for continuous joints."""
         lower, upper = np.full(self.n_joints, -np.inf), np.full(self.n_joints, np.inf)
         for joint in list(self.model.joints)[1:]:
-            if joint.shortname() not in _CONTINUOUS:
+            if joint.shortname() not in (*CONTINUOUS, MIMIC):
                 lower[joint.idx_v] = self.model.lowerPositionLimit[joint.idx_q]
                 upper[joint.idx_v] = self.model.upperPositionLimit[joint.idx_q]
         return lower, upper
@@ -103,7 +100,7 @@ class Robot:
     def frame_id(self, link: str) -> int:
         """Index of a link in the Pinocchio model. Raises RobotError, listing the links, if there is none."""
         if not self.model.existFrame(link, pin.FrameType.BODY):
-            links = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
+            links = ", ".join(link_names(self.model))
             raise RobotError(f"the robot {self.model.name!r} has no link {link!r}; its links are: {links}.")
         return self.model.getFrameId(link, pin.FrameType.BODY)
 
@@ -145,17 +142,16 @@ class Robot:
 
 def _joint_placements(model: pin.Model, theta: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
     """World rotation (3, 3) and translation (3,) of every joint frame, the universe first."""
-    axes = _joint_axes(model)
     placements = [(ca.SX.eye(3), ca.SX.zeros(3))]
-    for index in range(1, model.njoints):
-        fixed, joint = model.jointPlacements[index], model.joints[index]
+    for index, motion in enumerate(_joint_motions(model), start=1):
+        fixed, position = model.jointPlacements[index], motion.scaling * theta[motion.coordinate] + motion.offset
         parent_rotation, parent_translation = placements[model.parents[index]]
         rotation = parent_rotation @ fixed.rotation
         translation = parent_translation + parent_rotation @ fixed.translation
-        if joint.shortname() in _PRISMATIC:
-            translation = translation + rotation @ (axes[index] * theta[joint.idx_v])
+        if np.any(motion.linear):
+            translation = translation + rotation @ (motion.linear * position)
         else:
-            rotation = rotation @ _rotation_about(axes[index], theta[joint.idx_v])
+            rotation = rotation @ _rotation_about(motion.angular, position)
         placements.append((rotation, translation))
     return placements
 
@@ -167,37 +163,27 @@ def _rotation_about(axis: np.ndarray, angle: ca.SX) -> ca.SX:
     return outer + ca.cos(angle) * (ca.DM.eye(3) - outer) + ca.sin(angle) * cross
 
 
-def _joint_axes(model: pin.Model) -> list[np.ndarray]:
-    """Axis (3,) of every joint in its own frame: its column of the local Jacobian, which is constant."""
+class _JointMotion(NamedTuple):
+    """An axis (3,) of translation or of rotation, the other zero; position = scaling theta[coordinate] + offset."""
+
+    linear: np.ndarray
+    angular: np.ndarray
+    coordinate: int
+    scaling: float
+    offset: float
+
+
+def _joint_motions(model: pin.Model) -> list[_JointMotion]:
+    """The motion of every joint in its own frame; that of a mimic joint by the coordinate of the joint it follows."""
     data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    axes: list[np.ndarray] = [np.zeros(3)]
-    for index in range(1, model.njoints):
-        joint = model.joints[index]
-        jacobian = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)
-        jacobian = jacobian.reshape(6, -1)[:, joint.idx_v]  # a single joint comes as a vector
-        axis = jacobian[:3] if joint.shortname() in _PRISMATIC else jacobian[3:]
-        axes.append(np.where(np.abs(axis) < 1e-15, 0.0, axis))  # rounding of an axis-aligned joint
-    return axes
-
-
-def _check_joints(model: pin.Model) -> None:
-    known = _REVOLUTE + _CONTINUOUS + _PRISMATIC
-    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
-        if joint.shortname() not in known:
-            raise RobotError(
-                f"joint {name!r} is a {joint.shortname()}; revolute, continuous, prismatic and fixed joints are "
-                "supported. Fix or remove the joint in the URDF."
-            )
-
-
-def _read_urdf(path: Path) -> pin.Model:
-    if not path.is_file():
-        raise RobotError(f"there is no URDF file {path}.")
-    try:
-        return pin.buildModelFromUrdf(str(path))
-    except ValueError as error:
-        raise RobotError(f"{path} cannot be read as a URDF: {error}") from error
+    pin.forwardKinematics(model, data, pin.neutral(model))  # sets the subspaces of mimic joints
+    motions = []
+    for joint, subspace in list(zip(model.joints, (joint.S for joint in data.joints), strict=True))[1:]:
+        mimic = joint.extract() if joint.shortname() == MIMIC else None
+        scaling, offset = (mimic.scaling, mimic.offset) if mimic else (1.0, 0.0)
+        linear, angular = np.split(np.array(subspace).ravel() / scaling + 0.0, 2)
+        motions.append(_JointMotion(linear, angular, joint.idx_v, scaling, offset))
+    return motions
 
 
 def _as_keypoints(keypoints: Mapping[str, object] | tuple[Keypoint, ...]) -> tuple[Keypoint, ...]:
@@ -215,18 +201,6 @@ def _as_points(link: str, points: object) -> list[list[float]]:
     return array.tolist()
 
 
-def _object_held_by(link: str) -> tuple[Keypoint, ...]:
+def held_object(link: str) -> tuple[Keypoint, ...]:
+    """Three keypoints on an object in a link, not on one line: the bottom of a bottle and two at its shoulder."""
     return tuple(Keypoint(link, position) for position in _OBJECT)
-
-
-def _last_link(model: pin.Model) -> str:
-    return [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY][-1]
-
-
-def _example_urdfs() -> dict[str, Path]:
-    """Name -> URDF of every robot of example-robot-data, found beside Pinocchio (6.0.0 has no Python module)."""
-    roots = [parent / "share" / "example-robot-data" / "robots" for parent in Path(pin.__file__).parents]
-    root = next((root for root in roots if root.is_dir()), None)
-    if root is None:
-        raise DependencyError("the package example-robot-data is not installed: pip install example-robot-data.")
-    return {path.stem.removesuffix("_robot"): path for path in sorted(root.rglob("*.urdf"))}
