@@ -12,9 +12,9 @@ pytest.importorskip("cv2")
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant, Disturbance
 from kpirl_ocp.perception.scene.bodies import BOTTLE
 from kpirl_ocp.perception.scene.camera import Camera
+from kpirl_ocp.perception.scene.frame import Frame
 from kpirl_ocp.perception.scene.posture import inverse_kinematics
 from kpirl_ocp.perception.scene.scene import Scene
-from kpirl_ocp.perception.scene.world import Frame
 
 
 @dataclass

@@ -3,10 +3,14 @@
 import struct
 from fractions import Fraction
 
-import av
-import cv2
 import numpy as np
 import pytest
+
+pytest.importorskip("av")
+pytest.importorskip("cv2")
+
+import av
+import cv2
 
 from kpirl_ocp.errors import FileError
 from kpirl_ocp.perception.data.clips import read_videos

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kpirl_ocp.episodes import read_episode, stored
 from kpirl_ocp.perception.data.video import read_demonstration, sample_indices
-from kpirl_ocp.perception.scene.world import Frame
+from kpirl_ocp.perception.scene.frame import Frame
 from kpirl_ocp.types import Array
 
 

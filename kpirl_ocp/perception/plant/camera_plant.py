@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.keypoints import to_pixels
+from kpirl_ocp.perception.scene.frame import Frame
 from kpirl_ocp.perception.scene.scene import JointState, Scene
-from kpirl_ocp.perception.scene.world import Frame
 from kpirl_ocp.types import Array, Sight
 
 _GREY = 128

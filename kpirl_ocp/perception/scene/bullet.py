@@ -7,6 +7,8 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from kpirl_ocp.errors import DependencyError
+
 
 @contextmanager
 def _quiet() -> Iterator[None]:
@@ -27,9 +29,15 @@ def _quiet() -> Iterator[None]:
             os.close(descriptor)
 
 
-with _quiet():
-    import pybullet
-    from pybullet_utils.bullet_client import BulletClient
+try:
+    with _quiet():
+        import pybullet
+        from pybullet_utils.bullet_client import BulletClient
+except ImportError as error:
+    raise DependencyError(
+        'the simulated scene needs PyBullet: pip install "kpirl-ocp[perception]" on Python 3.11 or earlier '
+        "(there are no wheels for later ones; pip install pybullet compiles it, for many minutes)."
+    ) from error
 
 
 def connect() -> BulletClient:

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from kpirl_ocp.errors import SceneError
 from kpirl_ocp.motion import forward_then_down, minimum_jerk
 from kpirl_ocp.perception.scene.bodies import write_hand_with_bottle
-from kpirl_ocp.perception.scene.world import Frame, World
+from kpirl_ocp.perception.scene.frame import Frame
+from kpirl_ocp.perception.scene.world import World
 from kpirl_ocp.types import Array
 
 RATE = 30.0  # [Hz] of the paper's human demonstrations

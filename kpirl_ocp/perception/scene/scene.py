@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import SceneError
 from kpirl_ocp.perception.scene.bodies import BOTTLE, write_arm_with_bottle
 from kpirl_ocp.perception.scene.bullet import pybullet
-from kpirl_ocp.perception.scene.world import Frame, World
+from kpirl_ocp.perception.scene.frame import Frame
+from kpirl_ocp.perception.scene.world import World
 from kpirl_ocp.types import Array
 
 _PHYSICS_RATE = 240  # [Hz]

@@ -10,11 +10,11 @@ from types import TracebackType
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from kpirl_ocp.perception.scene.bullet import connect, pybullet
 from kpirl_ocp.perception.scene.camera import Camera
-from kpirl_ocp.types import Array, Mask
+from kpirl_ocp.perception.scene.frame import Frame
 
 # Static boxes: half extents [m], centre [m], colour. A table top at z = 0, and a shelf of a board and an upright.
 _FURNITURE = (
@@ -22,18 +22,6 @@ _FURNITURE = (
     ((0.11, 0.15, 0.01), (0.70, 0.0, 0.30), (0.55, 0.40, 0.25)),
     ((0.01, 0.15, 0.16), (0.80, 0.0, 0.15), (0.55, 0.40, 0.25)),
 )
-
-
-@dataclass(frozen=True)
-class Frame:
-    """An image and the bottle in it.
-
-    rgb: (H, W, 3) uint8. bottle: (H, W) bool, the pixels that show it. place: (2,) its projected middle [pixels].
-    """
-
-    rgb: NDArray[np.uint8]
-    bottle: Mask
-    place: Array
 
 
 W = TypeVar("W", bound="World")

@@ -1,0 +1,22 @@
+"""A picture of a scene with the truth about it; no simulator is needed to hold one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kpirl_ocp.types import Array, Mask
+
+
+@dataclass(frozen=True)
+class Frame:
+    """An image and the bottle in it.
+
+    rgb: (H, W, 3) uint8. bottle: (H, W) bool, the pixels that show it. place: (2,) its projected middle [pixels].
+    """
+
+    rgb: NDArray[np.uint8]
+    bottle: Mask
+    place: Array
