@@ -126,7 +126,7 @@ def test_change_of_the_adjoint_nearby_is_that_between_two_linearisations(name, b
         point.costates + 1e-4 * rng.normal(size=point.costates.shape),
         point.forces * (1 + 1e-4 * rng.normal(size=point.forces.shape)),
     )
-    found = function.factors.follow(nearby, slope, adjoint)
+    found = function.factors.change_nearby(nearby, slope, adjoint)
     moved, _ = Factorisation(linearise(system.instance, nearby, system.active)).adjoint(slope)
     expected = np.linalg.norm(moved.w - adjoint.w) / np.linalg.norm(adjoint.w)
     np.testing.assert_allclose(found, expected, rtol=1e-2, atol=1e-8)
@@ -137,7 +137,7 @@ def test_adjoint_is_not_found_where_these_factors_are_of_no_use(name):
     _, _, function, _ = solved(name)
     point, slope = function.system.point, np.ones(len(function.system.point.w))
     far = PrimalDual(point.w, point.costates * -1e4, point.forces)  # another Hessian
-    assert function.factors.follow(far, slope, function.factors.adjoint(slope)[0]) == np.inf
+    assert function.factors.change_nearby(far, slope, function.factors.adjoint(slope)[0]) == np.inf
 
 
 @pytest.mark.parametrize("name", ["integrator", "iiwa at a limit", "tanh network"])

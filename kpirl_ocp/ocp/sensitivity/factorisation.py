@@ -28,8 +28,8 @@ _EXACT = 1e-13  # relative residual at which refinement stops
 _CLOSE = 1e-10  # below it, a step that gains less than three digits has met the rounding
 _DIGITS = 0.03  # relative distance from some eigenvalue, the outermost or one close to it, at which to stop
 _STARTS = 4
-_SETTLED = 0.1  # `follow` stops when the last correction is below this share of the total change,
-_FOLLOWED = 1e-6  # or of the adjoint; and when the relative residual is below this: else the factors do not serve there
+_SETTLED = 0.1  # `change_nearby` stops when the last correction is below this share of the total change
+_FOLLOWED = 1e-6  # or this of the adjoint, and the relative residual is below this: else the factors do not serve there
 _NOTHING = 1e-8  # an adjoint this much shorter than a free one is zero up to rounding: the constraints leave no freedom
 
 
@@ -154,14 +154,14 @@ class Factorisation:
             at = found[:6]
             yield found
 
-    def follow(self, nearby: PrimalDual, right: Array, adjoint: PrimalDual) -> float:
+    def change_nearby(self, nearby: PrimalDual, right: Array, adjoint: PrimalDual) -> float:
         """Relative change at a point nearby of the w that solves (r_w, 0, 0), `adjoint` here; infinite if not found.
 
         These factors find it when the two systems differ little: corrections get shorter, and so do residuals.
         """
         instance = self._system.instance
         at = *instance.arguments(nearby), np.array([instance.barrier])
-        step = self._call(compiled.follow).fix(*self._matrices, *at, *self._rows, right)
+        step = self._call(compiled.refine_nearby).fix(*self._matrices, *at, *self._rows, right)
         size = _norm(right)
         least = self._least(size)
         whole = max(_norm(adjoint.w), _NOTHING * least)

@@ -126,7 +126,7 @@ def begin(problem: OCP) -> ca.Function:
 
 
 @lru_cache(maxsize=64)
-def follow(problem: OCP) -> ca.Function:
+def refine_nearby(problem: OCP) -> ca.Function:
     """Two such steps towards the solution of the system at a point nearby, whose matrices are never formed.
 
     (F, G, P, W, Y, pivots, S, the arguments of `stages.first` at that point, tau, active (0 or 1), 1/units, r, w,
@@ -151,7 +151,7 @@ def follow(problem: OCP) -> ca.Function:
     other = _correction(problem, F, G, factors, stiffness, remaining)
     norms = ca.vertcat(_norms(remaining, scale), *(ca.norm_2(part.w) for part in (middle, one, other)))
     inputs = [F, G, *factors, stiffness, *at, tau, active, scale, right.w, *begin]
-    return ca.Function("follow", inputs, [ca.densify(x) for x in (*middle.plus(other), norms)])
+    return ca.Function("refine_nearby", inputs, [ca.densify(x) for x in (*middle.plus(other), norms)])
 
 
 def _correction(problem: OCP, F: ca.MX, G: ca.MX, factors: list[ca.MX], stiffness: ca.MX, residual: _Triple) -> _Triple:
@@ -195,5 +195,5 @@ def _norms(residual: _Triple, scale: ca.MX) -> ca.MX:
     return ca.vertcat(ca.norm_2(residual.w), ca.norm_2(residual.costates), ca.norm_2(residual.forces * scale))
 
 
-ALL = (factor, refine, begin, follow, inverse_spectrum, dependence_spectrum, row_variances)
+ALL = (factor, refine, begin, refine_nearby, inverse_spectrum, dependence_spectrum, row_variances)
 """To be compiled together: they have the recursion in common."""

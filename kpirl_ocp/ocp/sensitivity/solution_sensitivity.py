@@ -158,7 +158,7 @@ class Sensitivity:
         step, margin, change, kink = np.inf, np.nan, np.inf, np.inf
         if np.isfinite(adjoint.w).all() and np.isfinite(direction).all():
             step, margin = self._nearby.step, self._nearby.margin
-            change = factors.follow(self._nearby.point, slope, adjoint)
+            change = factors.change_nearby(self._nearby.point, slope, adjoint)
             kink = kink_along(self._system, direction)
         certificate = certified(
             solution=self.solution,
