@@ -3,17 +3,19 @@
 from dataclasses import replace
 from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 import pytest
 from dense_kkt import derivative
 from kkt_products import times_hessian, times_jacobian
 from problems import TABLE, network, swing_up
 
-from kpirl_ocp import Ipopt, Riccati
+from kpirl_ocp import OCP, Ipopt, Riccati
 from kpirl_ocp.ocp.conditions.nlp import pack
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
 from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, linearise
+from kpirl_ocp.ocp.sensitivity.sensitivity import sensitivity
 
 CASES = TABLE | {
     "swing-up, 45 steps": lambda: swing_up(45),
@@ -109,7 +111,34 @@ def test_curvature_and_qualification_equal_their_dense_definitions():
     values = np.linalg.eigvalsh(free.T @ condensed @ free)
     assert len(rows) > 3
     np.testing.assert_allclose(factors.qualification, singular.min(), rtol=1e-2)
-    np.testing.assert_allclose(factors.curvature, values[0] / np.abs(np.linalg.eigvalsh(condensed)).max(), rtol=2e-2)
+    n_s, n_u = system.instance.problem.n_states, system.instance.problem.n_actions
+    local = 0.0
+    for t in range(system.instance.problem.horizon):
+        for i in n + n_u * t + np.arange(n_u):
+            one_step = np.zeros(size)
+            one_step[n_s * t : n_s * (t + 1)] = (Z @ columns[n:, i])[n_s * t : n_s * (t + 1)]
+            one_step[i] = 1.0
+            local = max(local, abs(one_step @ H @ one_step))
+    np.testing.assert_allclose(factors.curvature, values[0] / local, rtol=2e-2)
+
+
+def test_unstable_dynamics_do_not_hide_a_minimum():
+    """s' = 1.3 s + u over 60 steps: the first action is worth 7e6 at the end, squared, beside an effort of one."""
+    s, u, psi = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("psi")
+    problem = OCP.from_expressions(
+        state=s, action=u, parameters=psi, horizon=60, dynamics=1.3 * s + u, stage_cost=psi * s**2 + u**2
+    )
+    solution = Riccati().solve(problem, [1.0], [1.0]).raise_if_failed()
+    gradients = sensitivity(problem, solution).pull(np.zeros((61, 1)), np.eye(60)[:, :1])
+    assert gradients.certificate.certified
+    gain = []  # of u_0 = -K s_0 by the recursion of Riccati, for psi = 1 +- h
+    for q in (1 + 1e-6, 1 - 1e-6):
+        p = 0.0
+        for _ in range(60):
+            k = 1.3 * p / (1 + p)
+            p = q + k**2 + p * (1.3 - k) ** 2
+        gain.append(k)
+    np.testing.assert_allclose(gradients.psi, -(gain[0] - gain[1]) / 2e-6, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -63,9 +63,9 @@ class SensitivityCertificate(Certificate):
     """Evidence for a derivative of the solution by the implicit function theorem.
 
     kkt_residual: of the solution, relative (`KKTResiduals.worst`).
-    curvature: smallest eigenvalue of the reduced Hessian over the largest |eigenvalue| of the condensed Hessian; the
-        second-order condition asks it to be positive. Its sign is exact, its size an estimate from above. Infinite when
-        the active constraints leave no freedom.
+    curvature: smallest eigenvalue of the reduced Hessian, relative to the largest curvature that one action has within
+        its own and the next stage (`KKTSystem.local_curvature`); the second-order condition asks it to be positive. Its
+        sign is exact, its size an estimate from above. Infinite when the active constraints leave no freedom.
     qualification: smallest singular value of the normalised active Jacobian (LICQ); infinite when nothing is active.
     step: length of a Newton step on the KKT conditions with this active set, relative: the error of the solution.
     margin: smallest multiplier of an active and slack of an inactive row after that step (strict complementarity);

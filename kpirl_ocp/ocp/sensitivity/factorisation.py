@@ -36,10 +36,9 @@ _NOTHING = 1e-8  # an adjoint this much shorter than a free one is zero up to ro
 class Factorisation:
     """The factors of a KKT system.
 
-    curvature: smallest eigenvalue of the reduced Hessian (with a minimum; else one that is not positive) over the
-        largest |eigenvalue| of the condensed one, estimated from above by a few products: where many eigenvalues lie
-        close together, as in long horizons, by some ten per cent. Infinite when the active constraints leave no
-        freedom.
+    curvature: smallest eigenvalue of the reduced Hessian (with a minimum; else one that is not positive), relative to
+        `KKTSystem.local_curvature`, estimated from above by a few products: where many eigenvalues lie close together,
+        as in long horizons, by some ten per cent. Infinite when the active constraints leave no freedom.
     softest: (n_w,) the direction of that eigenvalue, of length one.
     qualification: smallest singular value of the active rows in the actions, scaled to length one; infinite without.
     """
@@ -80,11 +79,12 @@ class Factorisation:
         negative = bool((parts[-1] < 0).any())  # the pivots know the signs, the Lanczos method the size
         again = self._call(compiled.inverse_spectrum)
         value, (_, direction) = _known(self._inverse, lambda v: again(self._system.F, *parts, v), negative)
-        if not math.isfinite(value) or self._scale == 0:
+        scale = self._system.local_curvature
+        if not math.isfinite(value) or scale == 0:
             return 0.0, np.zeros(direction.shape)
         if negative != (value < 0):
             return np.nan, np.zeros(direction.shape)  # the Lanczos method did not find what the pivots know
-        return float(1 / (value * self._scale)), direction / _norm(direction)
+        return float(1 / (value * scale)), direction / _norm(direction)
 
     @cached_property
     def qualification(self) -> float:

@@ -112,6 +112,19 @@ class KKTSystem:
         return not path.any() and not (entries[bounds] < len(self.defects)).any()
 
     @cached_property
+    def local_curvature(self) -> float:
+        """The largest |curvature| of one action within its own and the next stage, |R_ii + (B' Q_next B)_ii|.
+
+        What eigenvalues of the reduced Hessian are measured by. The largest eigenvalue of the condensed Hessian would
+        be no measure: with unstable dynamics it grows like the square of what they make of an action by the end.
+        """
+        n_s = len(self.H_last)
+        B = self.F[:, n_s:]  # (T, n_u, n_s)
+        following = np.concatenate([self.H[1:, :n_s, :n_s], self.H_last[None]])
+        own = np.diagonal(self.H[:, n_s:, n_s:], axis1=1, axis2=2)
+        return float(np.abs(own + ((B @ following) * B).sum(axis=2)).max(initial=0.0))
+
+    @cached_property
     def pushing(self) -> Array:
         """Multipliers (n_ineq,) of active and of smoothed inequalities, the latter tau / slack; zero for the others."""
         forces = np.where(self.active, self.point.forces, 0.0)
