@@ -14,7 +14,7 @@ from kpirl_ocp.pictures import COLOURS, GREY, PAGE, STYLE
 from kpirl_ocp.types import Array
 
 # What has a colour of its own in every figure.
-_KNOWN = dict(zip(("Weighted", "TimeDep", "RBF", "apprenticeship"), COLOURS, strict=False)) | {"Default": GREY}
+_KNOWN = dict(zip(("weighted", "timedep", "rbf", "apprenticeship"), COLOURS, strict=False)) | {"default": GREY}
 
 
 def save(figure: Figure, path: Path) -> Path:
@@ -43,7 +43,7 @@ def wrapped_figure(count: int, width: float = 4.6, height: float = 3.3) -> tuple
 def colours(names: Iterable[str]) -> dict[str, str]:
     """A colour for each name: the one it has in every figure, or one that is left."""
     names = list(names)
-    fixed = {name: _KNOWN[name] for name in names if name in _KNOWN}
+    fixed = {name: _KNOWN[name.lower()] for name in names if name.lower() in _KNOWN}
     left = [colour for colour in COLOURS if colour not in fixed.values()]
     others = [name for name in names if name not in fixed]
     return fixed | {name: left[index % len(left)] for index, name in enumerate(others)}

@@ -28,7 +28,7 @@ def curves(panels: Mapping[str, Runs], ylabel: str) -> Figure:
 
 def bars(panels: Mapping[str, Mapping[str, Mapping[str, Array]]], ylabel: str) -> Figure:
     """Grouped bars, mean and standard deviation: panel -> group along the axis -> colour -> values over seeds."""
-    figure, axes = wrapped_figure(len(panels), width=7.0, height=3.6)
+    figure, axes = wrapped_figure(len(panels), width=10.0, height=3.4)
     for axis, (title, groups) in zip(axes, panels.items(), strict=True):
         names = list(dict.fromkeys(name for bars in groups.values() for name in bars))
         chosen, width = colours(names), 0.8 / len(names)

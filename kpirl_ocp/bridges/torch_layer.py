@@ -1,0 +1,155 @@
+"""An optimal-control problem as a layer in PyTorch (extra `torch`).
+
+    plan = OCPLayer(problem)(psi, s0, context)        # plan.states (B, T+1, n_s), plan.actions (B, T, n_u)
+    loss(plan.states, plan.actions).backward()        # slopes by psi, s0 and context
+
+Backward is one adjoint solve with the KKT matrix per instance: the derivative of the optimum, whatever way the solver
+took to it. It cannot be differentiated a second time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+
+from kpirl_ocp.bridges.batch import Batch, Policy, Solved
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Guess, Solver
+from kpirl_ocp.ocp.sensitivity.certificate import Certificate
+from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.types import Solution, Trajectory
+
+Tensor = torch.Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A batch of optimal trajectories.
+
+    states: (B, T+1, n_s), actions: (B, T, n_u), in the type of the inputs; functions of psi, s0 and context.
+    solutions: B of them, in float64, each with status and KKT residuals.
+    certificates: B of them for each backward pass through this plan, the latest last; empty before the first.
+    """
+
+    states: Tensor
+    actions: Tensor
+    solutions: tuple[Solution, ...]
+    certificates: list[list[Certificate]] = field(repr=False)
+
+    @property
+    def solved(self) -> Tensor:
+        """(B,) bool: the solver converged."""
+        return torch.tensor([solution.status.ok for solution in self.solutions], device=self.states.device)
+
+
+class OCPLayer(torch.nn.Module):
+    """Solves a batch of OCPs forward, and differentiates their solutions backward.
+
+    Args:
+        problem: the OCP; psi, s0 and context are the inputs of the layer.
+        solver: any solver of the package.
+        policy: of gradients that are not certified: "raise" CertificateError, and SolveError for a solve that fails;
+            "mask" leaves the instance out: its gradient is zero, and `Plan.certificates` says why; "smooth" solves and
+            differentiates the problem smoothed by a log barrier instead, always.
+        barrier: tau of "smooth".
+        threads: that solve at the same time; None: one per processor.
+
+    Raises:
+        ProblemError: another policy, or a solver that cannot smooth.
+    """
+
+    def __init__(
+        self,
+        problem: OCP,
+        solver: Solver | None = None,
+        *,
+        policy: Policy = "raise",
+        barrier: float = 1e-4,
+        threads: int | None = None,
+    ) -> None:
+        super().__init__()
+        self.batch = Batch(problem, solver or Riccati(), policy, barrier, threads)
+
+    def forward(
+        self, psi: Tensor, s0: Tensor, context: Tensor | None = None, guess: Plan | Sequence[Guess] | None = None
+    ) -> Plan:
+        """The optimal trajectories.
+
+        Args:
+            psi: (B, n_psi), or (n_psi,) for all.
+            s0: (B, n_s), or (n_s,) for all.
+            context: (B, n_c), or (n_c,) for all; None for a problem without one.
+            guess: where to start: a former plan, or B solutions, trajectories or None.
+
+        Raises:
+            ProblemError: shapes that do not fit.
+            SolveError: a solve failed; not under the policy "mask".
+        """
+        problem = self.batch.problem
+        given = (psi, s0, psi.new_zeros(0) if context is None else context)
+        sizes = {"psi": problem.n_parameters, "s0": problem.n_states, "context": problem.n_context}
+        count = max((len(tensor) for tensor in given if tensor.ndim == 2), default=1)
+        rows = [_rows(name, tensor, count, size) for tensor, (name, size) in zip(given, sizes.items(), strict=True)]
+        guesses = guess.solutions if isinstance(guess, Plan) else guess
+        if guesses is not None and len(guesses) != count:
+            raise ProblemError(f"a batch of {count} needs as many guesses, got {len(guesses)}.")
+        solved: list[Solved] = []
+        certificates: list[list[Certificate]] = []
+        states, actions = _Solve.apply(self.batch, guesses or [None] * count, solved, certificates, *rows)
+        return Plan(states, actions, tuple(found.solution for found in solved), certificates)
+
+    def extra_repr(self) -> str:
+        """The settings."""
+        return f"{self.batch.solver}, policy={self.batch.policy!r}"
+
+
+class _Solve(torch.autograd.Function):
+    """(psi, s0, context) -> (states, actions)."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        batch: Batch,
+        guesses: Sequence[Guess],
+        solved: list[Solved],
+        certificates: list[list[Certificate]],
+        *rows: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        psi, s0, context = (row.detach().cpu().double().numpy() for row in rows)
+        solved += batch.solve(psi, s0, context, guesses)
+        ctx.batch, ctx.solved, ctx.certificates = batch, solved, certificates
+        ctx.types = [(row.dtype, row.device) for row in rows]
+        plans = [found.solution for found in solved]
+        dtype, device = torch.promote_types(rows[0].dtype, rows[1].dtype), rows[0].device
+        states, actions = np.array([plan.states for plan in plans]), np.array([plan.actions for plan in plans])
+        return torch.tensor(states, dtype=dtype, device=device), torch.tensor(actions, dtype=dtype, device=device)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, by_states: Tensor, by_actions: Tensor) -> tuple[Tensor | None, ...]:
+        slopes = (slope.detach().cpu().double().numpy() for slope in (by_states, by_actions))
+        *gradients, certificates = ctx.batch.pull(ctx.solved, *slopes)
+        ctx.certificates.append(certificates)
+        pairs = zip(gradients, ctx.types, strict=True)
+        return None, None, None, None, *(torch.tensor(g, dtype=t, device=device) for g, (t, device) in pairs)
+
+
+def guesses_of(actions: Tensor, states: Tensor) -> list[Trajectory]:
+    """Guesses from actions (B, T, n_u) and states (B, T+1, n_s)."""
+    pairs = zip(states.detach().cpu().double(), actions.detach().cpu().double(), strict=True)
+    return [Trajectory(s.numpy(), u.numpy()) for s, u in pairs]
+
+
+def _rows(name: str, tensor: Tensor, count: int, size: int) -> Tensor:
+    """(B, size) of a tensor for all or for each. Raises ProblemError for another shape."""
+    if tensor.ndim not in (1, 2) or tensor.shape[-1] != size or (tensor.ndim == 2 and len(tensor) != count):
+        expected = f"({size},) or ({count}, {size})"
+        raise ProblemError(f"{name} must be {expected} for a batch of {count}, got {tuple(tensor.shape)}.")
+    if not tensor.is_floating_point():
+        raise ProblemError(f"{name} must be of a floating-point type, not {tensor.dtype}.")
+    return tensor.expand(count, size)

@@ -1,0 +1,206 @@
+"""An OCP as a layer in PyTorch: trajectories of the solver, gradients that gradcheck believes, nothing silent."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from problems import CASES
+
+from kpirl_ocp import OCP, Implicit, Ipopt, Riccati
+from kpirl_ocp.errors import CertificateError, ProblemError, SolveError
+from kpirl_ocp.irl.hypergradients.loss import squared_distance
+
+torch = pytest.importorskip("torch")
+from kpirl_ocp.bridges.torch_layer import OCPLayer  # noqa: E402
+
+COUNT = 3
+
+
+def batch(name, dtype=torch.float64, count=COUNT):
+    """psi, s0 and context of instances near a case, as tensors with gradients."""
+    case, rng = CASES[name](), np.random.default_rng(0)
+    given = (case.psi, case.demonstration.s0, case.demonstration.context)
+    spread = [np.asarray(x) * (1 + 0.02 * rng.normal(size=(count, np.size(x)))) for x in given]
+    return case.problem, [torch.tensor(x, dtype=dtype, requires_grad=True) for x in spread]
+
+
+@pytest.mark.parametrize("name", ["lqr", "pendulum", "integrator"])
+def test_the_layer_gives_the_solutions_of_the_solver(name):
+    problem, inputs = batch(name)
+    plan = OCPLayer(problem)(*inputs)
+    assert plan.states.shape == (COUNT, problem.horizon + 1, problem.n_states)
+    assert plan.actions.shape == (COUNT, problem.horizon, problem.n_actions)
+    assert plan.solved.all()
+    for index, (psi, s0, context) in enumerate(zip(*(x.detach().numpy() for x in inputs), strict=True)):
+        alone = Riccati().solve(problem, s0, psi, context)
+        np.testing.assert_allclose(plan.states[index].detach(), alone.states, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(plan.actions[index].detach(), alone.actions, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["lqr", "pendulum", "integrator"])
+def test_gradcheck_believes_the_gradients_by_parameters_start_and_context(name):
+    problem, (psi, s0, context) = batch(name, count=2)
+    layer = OCPLayer(problem, Riccati(tolerance=1e-12))
+
+    def plan(*given):
+        found = layer(*given) if context.numel() else layer(*given, context)
+        return found.states, found.actions
+
+    inputs = (psi, s0, context) if context.numel() else (psi, s0)
+    assert torch.autograd.gradcheck(plan, inputs, eps=1e-6, atol=1e-5, rtol=1e-5)
+
+
+def test_the_gradient_of_the_irl_loss_is_the_implicit_hypergradient():
+    case = CASES["pendulum"]()
+    problem, seen = case.problem, torch.tensor(case.demonstration.observations)
+    assert problem.observation is None
+    psi = torch.tensor(case.psi, requires_grad=True)
+    plan = OCPLayer(problem)(psi, torch.tensor(case.demonstration.s0), torch.tensor(case.demonstration.context))
+    loss = ((plan.states[0] - seen) ** 2).sum()
+    loss.backward()
+    expected = Implicit(loss=squared_distance)(problem, case.demonstration, case.psi)
+    assert loss.item() == pytest.approx(expected.loss, rel=1e-12)
+    np.testing.assert_allclose(psi.grad, expected.gradient, rtol=1e-9)
+
+
+def test_single_precision_comes_out_as_single_precision_of_the_same_numbers():
+    problem, inputs = batch("pendulum", torch.float32)
+    plan = OCPLayer(problem)(*inputs)
+    assert plan.states.dtype == plan.actions.dtype == torch.float32
+    plan.actions.square().sum().backward()
+    exact = [x.detach().double().requires_grad_() for x in inputs]
+    OCPLayer(problem)(*exact).actions.square().sum().backward()
+    for single, double in zip(inputs, exact, strict=True):
+        assert single.grad.dtype == torch.float32
+        np.testing.assert_allclose(single.grad, double.grad, rtol=1e-5, atol=1e-6)
+
+
+def test_what_holds_for_all_instances_is_given_once_and_its_gradient_is_the_sum():
+    problem, (psi, s0, context) = batch("pendulum")
+    shared = psi[0].detach().requires_grad_()
+    layer = OCPLayer(problem)
+    layer(shared, s0, context).actions.sum().backward()
+    repeated = shared.detach().expand(COUNT, -1).clone().requires_grad_()
+    layer(repeated, s0, context).actions.sum().backward()
+    np.testing.assert_allclose(shared.grad, repeated.grad.sum(0), rtol=1e-9)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_any_number_of_threads_gives_the_same_numbers(threads):
+    problem, inputs = batch("pendulum", count=7)
+    plan, other = OCPLayer(problem, threads=threads)(*inputs), OCPLayer(problem, threads=2)(*inputs)
+    assert torch.equal(plan.states, other.states)
+    gradients = [torch.autograd.grad(p.actions.square().sum(), inputs) for p in (plan, other)]
+    for one, two in zip(*gradients, strict=True):
+        assert torch.equal(one, two)
+
+
+def test_a_former_plan_is_a_guess():
+    problem, inputs = batch("pendulum")
+    layer = OCPLayer(problem)
+    cold = layer(*inputs)
+    warm = layer(*inputs, guess=cold)
+    for first, second in zip(cold.solutions, warm.solutions, strict=True):
+        assert second.iterations < first.iterations
+    np.testing.assert_allclose(warm.actions.detach(), cold.actions.detach(), atol=1e-9)
+
+
+def weakly_active():
+    """The second of two instances, min (u - psi)^2 with u <= 1, stands just at its bound at psi = 1."""
+    s, u, psi = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("psi")
+    problem = OCP.from_expressions(
+        state=s, action=u, parameters=psi, horizon=1, dynamics=s + u, stage_cost=(u - psi) ** 2, action_bounds=(-1, 1)
+    )
+    return problem, torch.tensor([[0.5], [1.0]], dtype=torch.float64, requires_grad=True), torch.zeros(2, 1).double()
+
+
+def test_a_gradient_that_is_not_certified_raises():
+    problem, psi, s0 = weakly_active()
+    plan = OCPLayer(problem)(psi, s0)
+    with pytest.raises(CertificateError, match="weakly active"):
+        plan.actions.sum().backward()
+
+
+def test_a_masked_gradient_is_left_out_and_says_so():
+    problem, psi, s0 = weakly_active()
+    plan = OCPLayer(problem, policy="mask")(psi, s0)
+    assert plan.certificates == []
+    plan.actions.sum().backward()
+    np.testing.assert_allclose(psi.grad, [[1.0], [0.0]], atol=1e-9)
+    (certificates,) = plan.certificates
+    assert [c.certified for c in certificates] == [True, False]
+    assert "weakly active" in str(certificates[1])
+
+
+@pytest.mark.parametrize("solver", [Riccati(), Ipopt()], ids=["Riccati", "Ipopt"])
+def test_a_smoothed_gradient_is_that_of_the_smoothed_problem(solver):
+    problem, psi, s0 = weakly_active()
+    tau = 1e-2
+    plan = OCPLayer(problem, solver, policy="smooth", barrier=tau)(psi, s0)
+    plan.actions.sum().backward()
+    for p, u, slope in zip(psi.detach(), plan.actions.detach().ravel(), psi.grad.ravel(), strict=True):
+        assert abs(2 * (u - p) + tau / (1 - u) - tau / (1 + u)) < 1e-6
+        curvature = 2 + tau / (1 - u) ** 2 + tau / (1 + u) ** 2
+        assert slope.item() == pytest.approx(2 / curvature.item(), rel=1e-5)
+
+
+def test_a_failed_solve_raises_or_is_masked():
+    problem, inputs = batch("pendulum")
+    with torch.no_grad():
+        inputs[0][1] = torch.nan
+    with pytest.raises(SolveError, match="1 of 3 solves failed; number 1: NOT_FINITE"):
+        OCPLayer(problem)(*inputs)
+    plan = OCPLayer(problem, policy="mask")(*inputs)
+    assert plan.solved.tolist() == [True, False, True]
+    plan.actions[0].sum().backward()
+    assert inputs[0].grad[0].abs().sum() > 0
+    assert (inputs[0].grad[1] == 0).all()
+    assert [c.certified for c in plan.certificates[0]] == [True, False, True]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda psi, s0, context: (psi[:, 1:], s0, context), r"psi must be \(2,\) or \(3, 2\)"),
+        (lambda psi, s0, context: (psi[:2], s0, context), "psi must be"),
+        (lambda psi, s0, context: (psi, s0[0, :1], context), "s0 must be"),
+        (lambda psi, s0, context: (psi, s0.long(), context), "floating-point"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_refused(change, reason):
+    problem, inputs = batch("pendulum")
+    with pytest.raises(ProblemError, match=reason):
+        OCPLayer(problem)(*change(*inputs))
+
+
+def test_settings_that_do_not_fit_are_refused():
+    problem, inputs = batch("pendulum")
+    with pytest.raises(ProblemError, match="policy must be one of raise, mask, smooth"):
+        OCPLayer(problem, policy="flag")
+    with pytest.raises(ProblemError, match="needs barrier > 0"):
+        OCPLayer(problem, policy="smooth", barrier=0.0)
+    with pytest.raises(ProblemError, match="as many guesses"):
+        OCPLayer(problem)(*inputs, guess=[None])
+
+
+def test_a_network_upstream_learns_what_the_cost_depends_on():
+    """The target of a tracking cost is a hidden function of a feature; demonstrated actions teach it."""
+    s, u, target = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("target")
+    problem = OCP.from_expressions(
+        state=s, action=u, parameters=target, horizon=8, dynamics=s + u, stage_cost=(s - target) ** 2 + u**2,
+        terminal_cost=(s - target) ** 2, action_bounds=(-0.4, 0.4),
+    )  # fmt: skip
+    torch.manual_seed(0)
+    layer, features = OCPLayer(problem, policy="mask"), torch.linspace(-1, 1, 12).double()[:, None]
+    start = torch.zeros(12, 1).double()
+    with torch.no_grad():
+        wanted = layer(torch.sin(2 * features), start).actions
+    network = torch.nn.Sequential(torch.nn.Linear(1, 16), torch.nn.Tanh(), torch.nn.Linear(16, 1)).double()
+    optimiser = torch.optim.Adam(network.parameters(), lr=0.05)
+    losses = []
+    for _ in range(200):
+        optimiser.zero_grad()
+        loss = (layer(network(features), start).actions - wanted).square().mean()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.01 * losses[0]
