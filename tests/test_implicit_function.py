@@ -15,7 +15,7 @@ from kpirl_ocp.ocp.conditions.nlp import pack
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
 from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, linearise
-from kpirl_ocp.ocp.sensitivity.sensitivity import sensitivity
+from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 
 CASES = TABLE | {
     "swing-up, 45 steps": lambda: swing_up(45),

@@ -15,7 +15,7 @@ from kpirl_ocp.errors import ProblemError, SolveError
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, check_policy
-from kpirl_ocp.ocp.sensitivity.sensitivity import sensitivity
+from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 from kpirl_ocp.types import Array, Solution
 
 Policy = Literal["raise", "mask", "smooth"]
