@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from statements import CASES, optimum
 
-from kpirl_ocp import Fatrop, Ipopt, Riccati, Status
+from kpirl_ocp import SQP, Fatrop, Ipopt, Riccati, Status
 from kpirl_ocp.ocp.conditions.audit import audit
 
 case_of = lru_cache(lambda name: CASES[name]())
 # Solver, tolerance on the objective and, ten times that, on the plan. Fatrop moves bounds outwards by 1e-8, and gives
 # up on soft constraints at a residual of 1e-7.
-ROWS = [(name, solver, 1e-8) for name in CASES for solver in (Riccati(), Ipopt())]
+ROWS = [(name, solver, 1e-8) for name in CASES for solver in (Riccati(), Ipopt(), SQP())]
 ROWS += [(name, Fatrop(1e-6 if name == "soft constraints" else 1e-8), 1e-5) for name in CASES]
 
 

@@ -7,6 +7,7 @@ A minimum above zero shows that there is none nearby: no small change of w viola
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import lru_cache
 
 import casadi as ca
@@ -19,8 +20,12 @@ from kpirl_ocp.types import Array, largest
 _CLOSE = 1e-6  # largest violation that counts as none
 
 
-def infeasible(problem: OCP, w: Array, s0: Array, psi: Array, context: Array) -> bool:
-    """True if the least violation near w (n_w,) was found, and is above 1e-6."""
+def infeasible(problem: OCP, points: Iterable[Array], s0: Array, psi: Array, context: Array) -> bool:
+    """True if the least violation near each of some points w (n_w,) was found, and is above 1e-6."""
+    return all(_infeasible_near(problem, w, s0, psi, context) for w in points)
+
+
+def _infeasible_near(problem: OCP, w: Array, s0: Array, psi: Array, context: Array) -> bool:
     if not np.isfinite(w).all():
         return False
     solver, values = _least_violation(problem)

@@ -32,6 +32,8 @@ _STATUS = {
     "SOLVER_RET_NAN": Status.NOT_FINITE,
 }
 
+_GAVE_UP = (Status.FAILED, Status.ITERATION_LIMIT)
+
 
 @dataclass(frozen=True)
 class Fatrop:
@@ -70,10 +72,17 @@ class Fatrop:
             lbg=np.where(program.inequality, -np.inf, 0.0),
             ubg=0.0,
         )
-        return self._solution(problem, start, psi, context, result, program)
+        return self._solution(problem, start, psi, context, w, result, program)
 
     def _solution(
-        self, problem: OCP, s0: Array, psi: Array, context: Array, result: dict[str, ca.DM], program: _Program
+        self,
+        problem: OCP,
+        s0: Array,
+        psi: Array,
+        context: Array,
+        begun: Array,
+        result: dict[str, ca.DM],
+        program: _Program,
     ) -> Solution:
         trajectory = trajectory_of(problem, pack(_by_kind(problem, np.array(result["x"]).ravel())), s0)
         multipliers = program.multipliers(problem, *(np.array(result[name]).ravel() for name in ("lam_x", "lam_g")))
@@ -84,7 +93,7 @@ class Fatrop:
             int(stats.get("iter_count", 0)),
         )
         status = self._status(word, iterations, residuals.worst)
-        if status is Status.FAILED and infeasible(problem, pack(trajectory), s0, psi, context):
+        if status in _GAVE_UP and infeasible(problem, (pack(trajectory), begun), s0, psi, context):
             status = Status.INFEASIBLE
         return Solution(
             trajectory=trajectory,

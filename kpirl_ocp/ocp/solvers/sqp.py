@@ -1,30 +1,36 @@
 """Sequential quadratic programming on the multiple-shooting program: CasADi's `sqpmethod` with its QP solver `qrqp`.
 
-Slower than `riccati`, because it knows nothing of stages; but all of it is code that CasADi generates.
+Slower than `riccati`, because it knows nothing of stages; but all of it is code that CasADi generates. If the Hessian
+of a stage is not positive, its negative eigenvalues change sign, and problems far from convex take many steps.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.conditions import nlp
 from kpirl_ocp.ocp.conditions.audit import audit
-from kpirl_ocp.ocp.conditions.nlp import bound_multipliers, pack, transcribe, unpack, unpack_multipliers
+from kpirl_ocp.ocp.conditions.feasibility import infeasible
+from kpirl_ocp.ocp.conditions.program import limits_from, not_started, starting_point, trajectory_of, transcribe
+from kpirl_ocp.ocp.problem.layout import bound_multipliers, pack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.scope import refuse_features
-from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
+from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
-from kpirl_ocp.types import Array, Solution, Status, Trajectory
+from kpirl_ocp.types import Array, Solution, Status
+
+_GAVE_UP = (Status.STALLED, Status.ITERATION_LIMIT)
 
 
 @dataclass(frozen=True)
 class SQP:
-    """Exact Hessians, made convex where they are not; bounds and path constraints; warm start from a `Solution`.
+    """Exact Hessians, made convex where they are not, for every problem; warm start from a `Solution`.
 
     tolerance: on `KKTResiduals.worst`.
     max_iterations: quadratic programs before it gives up.
@@ -34,7 +40,7 @@ class SQP:
     max_iterations: int = 50
 
     def __post_init__(self) -> None:
-        if not self.tolerance > 0 or self.max_iterations < 1:
+        if not 0 < self.tolerance < np.inf or self.max_iterations < 1:
             raise ProblemError("SQP needs tolerance > 0 and max_iterations >= 1.")
 
     @one_at_a_time
@@ -43,57 +49,96 @@ class SQP:
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
         start, psi, context = problem.inputs(s0, psi, context)
-        refuse_features(problem, "SQP")
-        nlp = transcribe(problem)
-        if guess is None:
-            w = pack(problem.simulate(start, guess_actions(problem, None), psi))
-        else:
-            w = pack(Trajectory(problem.as_states(guess.states), problem.as_actions(guess.actions)))
-        n_path = problem.horizon * problem.n_path
-        lam_w, lam_g = np.zeros(len(w)), np.zeros(nlp.n_defects + n_path)
+        w = starting_point(problem, start, psi, context, guess)
+        if not np.isfinite(np.concatenate([w, psi, context])).all():
+            return not_started(problem, w, psi, context, "the start, psi or the context holds NaN or infinity")
+        solver, transcribed = _build(problem, self), transcribe(problem)
+        lower, upper = limits_from(problem, start)
+        known = {}
         if isinstance(guess, Solution):
-            lam_w = bound_multipliers(guess.multipliers)
-            lam_g = np.concatenate([guess.multipliers.dynamics.ravel(), guess.multipliers.path.ravel()])
-        lower = np.concatenate([np.zeros(nlp.n_defects), np.full(n_path, -np.inf)])
-        parameters = np.concatenate([start, psi, context])
-        function = program(problem, self)
-        found = function(w, parameters, nlp.lower, nlp.upper, lower, np.zeros(len(lower)), lam_w, lam_g)
-        w, objective, _, lam_w, lam_g, _ = (np.array(array).ravel() for array in found)
-        trajectory = unpack(problem, start, w)
-        multipliers = unpack_multipliers(problem, lam_w, lam_g)
+            known["lam_x0"] = bound_multipliers(guess.multipliers)
+            known["lam_g0"] = transcribed.multipliers(guess.multipliers)
+        p = np.concatenate([psi, context])
+        result = solver(x0=w, p=p, lbx=lower, ubx=upper, lbg=transcribed.lower, ubg=0.0, **known)
+        return self._solution(problem, start, psi, context, w, result, solver)
+
+    def _solution(
+        self,
+        problem: OCP,
+        s0: Array,
+        psi: Array,
+        context: Array,
+        begun: Array,
+        result: dict[str, ca.DM],
+        solver: ca.Function,
+    ) -> Solution:
+        w, nu, lam = (np.array(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
+        trajectory = trajectory_of(problem, w, s0)
+        multipliers = unpack_multipliers(problem, nu, *np.split(lam, [transcribe(problem).live[0].sum()]))
         residuals = audit(problem, psi, context, trajectory, multipliers)
-        stats = function.stats()
-        iterations = int(stats["iter_count"])
+        iterations, word = _statistics(solver)
+        status = self._status(residuals.worst, iterations)
+        if status in _GAVE_UP and infeasible(problem, (pack(trajectory), begun), s0, psi, context):
+            status = Status.INFEASIBLE
         return Solution(
             trajectory=trajectory,
             multipliers=multipliers,
-            objective=float(objective[0]),
+            objective=float(result["f"]),
             residuals=residuals,
-            status=self._status(residuals.worst, iterations, w),
+            status=status,
             iterations=iterations,
             psi=psi,
             context=context,
-            message=f"sqpmethod: {stats['return_status']}",
+            message=f"sqpmethod: {word}",
         )
 
-    def _status(self, residual: float, iterations: int, w: Array) -> Status:
-        if not np.isfinite(w).all() or not np.isfinite(residual):
+    def _status(self, residual: float, iterations: int) -> Status:
+        if not np.isfinite(residual):
             return Status.NOT_FINITE
         if residual <= self.tolerance:
             return Status.CONVERGED
         return Status.ITERATION_LIMIT if iterations >= self.max_iterations else Status.STALLED
 
 
+def _statistics(solver: ca.Function) -> tuple[int, str]:
+    """Iterations and CasADi's word, which is missing where a quadratic program or an eigenvalue was not found."""
+    try:
+        stats = solver.stats()
+    except RuntimeError:
+        return 0, "no word"
+    return int(stats["iter_count"]), str(stats["return_status"])
+
+
+@lru_cache(maxsize=64)
+def _build(problem: OCP, solver: SQP) -> ca.Function:
+    transcribed = transcribe(problem)
+    w, *numbers = transcribed.symbols
+    objective = transcribed.values(*transcribed.symbols)[0]
+    inputs = {"x": w, "p": ca.vertcat(*numbers), "f": objective, "g": transcribed.rows}
+    return ca.nlpsol("sqp", "sqpmethod", inputs, _options(solver))
+
+
 @lru_cache(maxsize=64)
 def program(problem: OCP, solver: SQP) -> ca.Function:
-    """(w, (s0, psi, c), bounds of w, bounds of defects and path, lam_w, lam_g) -> w, J, g, lam_w, lam_g, lam_p."""
-    nlp = transcribe(problem)
-    objective, defects, path = nlp.values(*(nlp.symbols[name] for name in ("w", "s0", "psi", "c")))
+    """The solver for the exported C.
+
+    (w, (s0, psi, c), bounds of w, bounds of defects and path, lam_w, lam_g) -> w, J, g, lam_w, lam_g, lam_p, with w as
+    in `conditions.nlp`.
+    """
+    transcribed = nlp.transcribe(problem)
+    objective, defects, path = transcribed.values(*(transcribed.symbols[name] for name in ("w", "s0", "psi", "c")))
+    symbols = {"x": transcribed.symbols["w"], "p": transcribed.symbols["p"]}
+    inputs = symbols | {"f": objective, "g": ca.vertcat(defects, path)}
+    return ca.nlpsol("sqp_program", "sqpmethod", inputs, _options(solver))
+
+
+def _options(solver: SQP) -> dict[str, Any]:
     quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
-    options = {
+    return {
         "qpsol": "qrqp",
         "qpsol_options": quiet,
-        "convexify_strategy": "regularize",
+        "convexify_strategy": "eigen-reflect",
+        "max_iter_eig": 2000,  # the default gives up on stages of 20 unknowns
         "max_iter": solver.max_iterations,
         "tol_pr": solver.tolerance,
         "tol_du": solver.tolerance,
@@ -101,5 +146,3 @@ def program(problem: OCP, solver: SQP) -> ca.Function:
         "show_eval_warnings": False,
         **{f"print_{what}": False for what in ("header", "iteration", "status", "time")},
     }
-    inputs = {"x": nlp.symbols["w"], "p": nlp.symbols["p"], "f": objective, "g": ca.vertcat(defects, path)}
-    return ca.nlpsol("sqp_program", "sqpmethod", inputs, options)

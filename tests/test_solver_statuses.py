@@ -1,0 +1,79 @@
+"""Solvers that run in CasADi: statuses of infeasible and unbounded problems, threads, and an end in any case."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from problems import integrator
+from statements import S, U, state
+
+from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Status
+
+SOLVERS = [Ipopt(), Fatrop(), SQP()]
+LINEAR = ca.vertcat(S[0] + 0.1 * S[1], S[1] + 0.1 * U)
+INFEASIBLE = {
+    "a goal out of reach": {"terminal_equality": S - ca.DM([5, 0]), "action_bounds": (-1, 1)},
+    "bounds out of reach": {"state_bounds": ([2, -0.6], [3, 0.6])},
+    "rows that contradict each other": {"path_constraint": ca.vertcat(U - 1, 2 - U)},
+    "an empty set": {"path_constraint": ca.sumsqr(S) + 1},
+    "an equality without a root": {"terminal_equality": S[0] ** 2 + 1},
+    "a start that violates a row": {"path_constraint": S[0] + 1},
+}
+
+
+@pytest.mark.parametrize("solver", SOLVERS, ids=str)
+@pytest.mark.parametrize("name", INFEASIBLE)
+def test_a_problem_without_a_feasible_point_is_called_infeasible(name, solver):
+    problem = state(dynamics=LINEAR, stage_cost=U**2, **INFEASIBLE[name])
+    found = solver.solve(problem, [0.0, 0.3])
+    assert found.status is Status.INFEASIBLE
+    assert found.residuals.feasibility > 0.05
+
+
+def rate_limited():
+    """A mass whose force, the third state, changes by at most 0.3 a step."""
+    x, change = ca.SX.sym("x", 3), ca.SX.sym("du")
+    force = x[2] + change
+    return OCP.from_expressions(
+        state=x,
+        action=change,
+        dynamics=ca.vertcat(x[0] + 0.1 * x[1], x[1] + 0.1 * force, force),
+        stage_cost=(x[0] - 1) ** 2 + 0.1 * x[1] ** 2 + 0.01 * force**2,
+        terminal_cost=10 * (x[0] - 1) ** 2,
+        action_bounds=(-0.3, 0.3),
+        state_bounds=([-np.inf, -np.inf, -1], [np.inf, np.inf, 1]),
+        horizon=15,
+    )
+
+
+@pytest.mark.parametrize("solver", [Fatrop(), SQP()], ids=str)
+def test_a_rate_limited_quadratic_program_is_solved(solver):
+    found, expected = (method.solve(rate_limited(), [0.0, 0.0, 0.0]) for method in (solver, Ipopt()))
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.actions, expected.actions, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("solver", SOLVERS, ids=str)
+def test_one_problem_is_solved_by_several_threads_at_once(solver):
+    case = integrator()
+    problems = [case.problem, replace(case.problem, action_bounds=(-0.9, 0.9))]  # they share their functions
+    arguments = case.demonstration.s0, case.psi, case.demonstration.context
+
+    def solve(number):
+        return solver.solve(problems[number % 2], *arguments).objective
+
+    alone = [solve(0), solve(1)]
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(solve, range(20))) == alone * 10
+
+
+@pytest.mark.parametrize("tau", [1e-2, 1e-4, 1e-6])
+def test_ipopt_is_converged_only_where_its_tolerance_is_met(tau):
+    case = integrator()
+    arguments = case.problem, case.demonstration.s0, case.psi, case.demonstration.context
+    found = Ipopt(barrier=tau).solve(*arguments)
+    assert found.status is Status.CONVERGED
+    assert found.residuals.worst <= 1e-10
+    assert Ipopt(tolerance=1e-16).solve(*arguments).status is not Status.CONVERGED
