@@ -1,5 +1,6 @@
 """Solvers that run in CasADi: statuses of infeasible and unbounded problems, threads, and an end in any case."""
 
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import pytest
 from problems import integrator
 from statements import S, U, state
 
-from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Status
+from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Status, Trajectory
 
 SOLVERS = [Ipopt(), Fatrop(), SQP()]
 LINEAR = ca.vertcat(S[0] + 0.1 * S[1], S[1] + 0.1 * U)
@@ -77,3 +78,28 @@ def test_ipopt_is_converged_only_where_its_tolerance_is_met(tau):
     assert found.status is Status.CONVERGED
     assert found.residuals.worst <= 1e-10
     assert Ipopt(tolerance=1e-16).solve(*arguments).status is not Status.CONVERGED
+
+
+NOWHERE = {  # where a derivative is NaN or infinite on the way, Fatrop alone would not end
+    "a pole at the start": (1 / U + U**2, 0.0, Status.NOT_FINITE),
+    "a root of negative numbers with bounds": (ca.sqrt(U - 2) + U**2, 0.0, Status.NOT_FINITE),
+    "a root that ends within the bounds": (ca.sqrt(U - 0.3) + U**2, 0.4, Status.FAILED),
+}
+
+
+@pytest.mark.parametrize("name", NOWHERE)
+def test_fatrop_ends_within_its_time_limit(name):
+    cost, action, status = NOWHERE[name]
+    problem = state(stage_cost=cost, action_bounds=(-1, 1))
+    guess = Trajectory(np.full((13, 2), 0.5), np.full((12, 1), action))
+    solver = Fatrop(time_limit=3.0)
+    begun = time.monotonic()
+    assert solver.solve(problem, [0.5, 0.5], guess=guess).status is status
+    assert time.monotonic() - begun < 30  # it is ended, not late
+    assert solver.solve(state(), [0.0, 0.0]).status is Status.CONVERGED  # and begins again
+
+
+def test_fatrop_in_this_process_takes_the_same_steps():
+    here, there = (Fatrop(time_limit=limit).solve(state(action_bounds=(-1, 1)), [0.0, 0.0]) for limit in (None, 60.0))
+    np.testing.assert_array_equal(here.states, there.states)
+    assert here.iterations == there.iterations

@@ -127,11 +127,13 @@ def _check_multipliers(problem: OCP, known: Multipliers) -> None:
             raise ProblemError(f"the guess's multipliers {name} must be {shape}, got {np.shape(value)}.")
 
 
-def not_started(problem: OCP, w: Array, psi: Array, context: Array, why: str) -> Solution:
-    """The answer where a function is not finite at the start w (n_w,): nothing has been done."""
+def not_started(
+    problem: OCP, w: Array, psi: Array, context: Array, why: str, status: Status = Status.NOT_FINITE
+) -> Solution:
+    """The answer where nothing has come of a solve from w (n_w,)."""
     multipliers = unpack_multipliers(problem, *(np.zeros(n) for n in lengths(problem)))
     unknown = KKTResiduals(np.nan, np.nan, np.nan, np.nan, 1.0)
-    return Solution(unpack(problem, w), multipliers, np.nan, unknown, Status.NOT_FINITE, 0, psi, context, message=why)
+    return Solution(unpack(problem, w), multipliers, np.nan, unknown, status, 0, psi, context, message=why)
 
 
 def trajectory_of(problem: OCP, w: Array, s0: Array) -> Trajectory:

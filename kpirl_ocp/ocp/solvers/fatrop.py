@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import cast
 
 import casadi as ca
 import numpy as np
@@ -23,6 +24,7 @@ from kpirl_ocp.ocp.problem.layout import lengths, pack, unpack, unpack_multiplie
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
+from kpirl_ocp.ocp.solvers.child_process import ChildProcess
 from kpirl_ocp.types import Array, Mask, Multipliers, Solution, Status, Trajectory
 
 _STATUS = {
@@ -32,6 +34,7 @@ _STATUS = {
     "SOLVER_RET_NAN": Status.NOT_FINITE,
 }
 
+_CHILD = ChildProcess()
 _GAVE_UP = (Status.FAILED, Status.ITERATION_LIMIT)
 
 
@@ -42,36 +45,53 @@ class Fatrop:
     A guess hands over its states and actions; Fatrop does not take multipliers. It moves every bound outwards by 1e-8
     (a setting that CasADi does not pass on), and the residuals show that: `Riccati` and `Ipopt` are more accurate.
 
+    Fatrop does not end where a derivative is NaN or infinite. It runs in a process of its own, so that a solve ends in
+    any case, can be interrupted, and leaves other threads alone.
+
     tolerance: Fatrop's own.
     max_iterations: before it gives up.
+    time_limit: of a solve [s], after which it has FAILED; None solves in this process, without a limit.
     """
 
     tolerance: float = 1e-8
     max_iterations: int = 500
+    time_limit: float | None = 60.0
 
     def __post_init__(self) -> None:
-        if not self.tolerance > 0 or self.max_iterations < 1:
-            raise ProblemError("Fatrop needs tolerance > 0 and max_iterations >= 1.")
+        limited = self.time_limit is None or self.time_limit > 0
+        if not 0 < self.tolerance < np.inf or self.max_iterations < 1 or not limited:
+            raise ProblemError("Fatrop needs tolerance > 0, max_iterations >= 1 and time_limit > 0.")
 
-    @one_at_a_time
     def solve(
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:
         """Solve; see `Solver.solve`."""
         start, psi, context = problem.inputs(s0, psi, context)
         w = starting_point(problem, start, psi, context, guess)
+        if self.time_limit is None:
+            return self._solve_here(problem, start, psi, context, w)
+        found = _CHILD.call(self.time_limit, self._solve_here, problem, start, psi, context, w)
+        if found is None:
+            return not_started(problem, w, psi, context, f"Fatrop: no answer after {self.time_limit} s", Status.FAILED)
+        return cast("Solution", found)
+
+    @one_at_a_time
+    def _solve_here(self, problem: OCP, start: Array, psi: Array, context: Array, w: Array) -> Solution:
         if not _finite(problem, w, psi, context):
             return not_started(problem, w, psi, context, "a function or its gradient is not finite at the start")
         program = _build(problem, self)
         lower, upper = (_in_stages(*pair) for pair in zip(problem.limits, problem.action_bounds, strict=True))
-        result = program.solver(
-            x0=_in_stages(*vars(unpack(problem, w)).values()),
-            p=np.concatenate([start, psi, context]),
-            lbx=lower,
-            ubx=upper,
-            lbg=np.where(program.inequality, -np.inf, 0.0),
-            ubg=0.0,
-        )
+        try:
+            result = program.solver(
+                x0=_in_stages(*vars(unpack(problem, w)).values()),
+                p=np.concatenate([start, psi, context]),
+                lbx=lower,
+                ubx=upper,
+                lbg=np.where(program.inequality, -np.inf, 0.0),
+                ubg=0.0,
+            )
+        except RuntimeError as error:
+            return not_started(problem, w, psi, context, f"Fatrop: {str(error).splitlines()[-1]}", Status.FAILED)
         return self._solution(problem, start, psi, context, w, result, program)
 
     def _solution(

@@ -1,0 +1,93 @@
+"""Calls in another process, for solvers that may never end: after a time limit, or on Ctrl-C, the process is ended.
+
+It is started with the first call, serves one call at a time, and ends with this process. A problem is sent once.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import IO, Any, cast
+from weakref import WeakKeyDictionary
+
+from kpirl_ocp.ocp.problem.ocp import OCP
+
+
+class ChildProcess:
+    """Calls `method(problem, *arguments)` elsewhere; method is picklable, as bound methods of solvers are."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._known: WeakKeyDictionary[OCP, int] = WeakKeyDictionary()
+
+    def call(self, limit: float, method: Callable[..., Any], problem: OCP, *arguments: Any) -> Any:
+        """The result, or None if there was none within the limit [s], or the process died.
+
+        Raises what the method raises.
+        """
+        with self._lock:
+            finished = False
+            try:
+                sending, receiving = self._begin()
+                number, new = self._number(problem)
+                sending.send((number, problem if new else None, method, arguments))
+                if not receiving.poll(limit):
+                    return None
+                result, error = receiving.recv()
+                finished = True
+            except (EOFError, BrokenPipeError, ConnectionResetError):
+                return None
+            finally:  # also when interrupted
+                if not finished:
+                    self._end()
+        if error is not None:
+            raise error
+        return result
+
+    def _begin(self) -> tuple[Connection, Connection]:
+        if self._process is None or self._process.poll() is not None:
+            self._known.clear()
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", f"from {__name__} import serve; serve()"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            )
+            to, back = (cast("IO[bytes]", pipe).fileno() for pipe in (self._process.stdin, self._process.stdout))
+            self._ends = Connection(os.dup(to), readable=False), Connection(os.dup(back), writable=False)
+        return self._ends
+
+    def _number(self, problem: OCP) -> tuple[int, bool]:
+        new = problem not in self._known
+        return self._known.setdefault(problem, len(self._known)), new
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            for end in self._ends:
+                end.close()
+        self._process = None
+
+
+def serve() -> None:
+    """Answer calls on the standard streams until they are closed."""
+    receiving, sending = Connection(os.dup(0), writable=False), Connection(os.dup(1), readable=False)
+    os.dup2(2, 1)  # whatever a solver prints
+    problems: dict[int, OCP] = {}
+    while True:
+        try:
+            number, problem, method, arguments = receiving.recv()
+        except EOFError:
+            return
+        if problem is not None:
+            problems[number] = problem
+        try:
+            sending.send((method(problems[number], *arguments), None))
+        except Exception as error:  # whatever it is, it belongs to the caller
+            sending.send((None, error))
