@@ -38,6 +38,10 @@ class EpisodeError(FileError):
     """An episode on disk is missing, malformed or not finite; the message names file and key."""
 
 
+class DemonstrationError(KpirlError, ValueError):
+    """A demonstration cannot be learned from: nothing moves, it jumps, is not seen for sure, or is out of reach."""
+
+
 class ModelError(FileError):
     """A network on disk is missing, malformed or of an unsupported kind; the message names file and key."""
 

@@ -1,0 +1,94 @@
+"""Whether tracks are a demonstration: they must move, not jump, and be sure. Else a refusal in plain words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kpirl_ocp.perception.tracking.tracks import Tracks
+from kpirl_ocp.types import Array
+
+_STILL = 0.03  # a demonstration moves farther than this [longer side of the image]
+_JUMP = 2.5  # faster than this is no hand but another object [longer sides per second]
+_SURE = 0.15  # confidence below which a frame is unsure; tracking itself gives up there
+_UNSURE = 0.2  # share of the frames that may be unsure
+_GAP = 0.4  # for how long in a row they may be [s]
+_RESTS = 0.01  # an object that is within this of where it starts or ends rests there [longer side]
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why tracks are no demonstration, and the frames that show it."""
+
+    reason: str
+    frames: tuple[int, ...]
+
+
+def refusal(tracks: Tracks) -> Refusal | None:
+    """Why tracks cannot be learned from; None if they can."""
+    return _unsure(tracks) or _jumps(tracks) or _still(tracks)
+
+
+def moving_part(tracks: Tracks) -> tuple[float, float]:
+    """From when to when [s] the keypoints move: without the rest before and after, a tenth of a second around."""
+    side = max(tracks.size)
+
+    def away(from_: int) -> Array:
+        return np.linalg.norm(tracks.positions - tracks.positions[from_], axis=-1).max(axis=1) / side
+
+    left, arrived = np.flatnonzero(away(0) > _RESTS), np.flatnonzero(away(-1) > _RESTS)
+    if not len(left) or not len(arrived):
+        return float(tracks.times[0]), float(tracks.times[-1])
+    start, end = tracks.times[max(left[0] - 1, 0)], tracks.times[min(arrived[-1] + 1, len(tracks.times) - 1)]
+    return max(float(tracks.times[0]), float(start) - 0.1), min(float(tracks.times[-1]), float(end) + 0.1)
+
+
+def _still(tracks: Tracks) -> Refusal | None:
+    way = np.linalg.norm(tracks.positions - tracks.positions[0], axis=-1).mean(axis=1)
+    farthest = int(way.argmax())
+    if way[farthest] >= _STILL * max(tracks.size):
+        return None
+    return Refusal(
+        f"the keypoints hardly move: {way[farthest]:.1f} pixels at most, of a frame {max(tracks.size)} wide. Film the "
+        f"motion itself, nearer or over a longer way, or say which object to follow (points or a box).",
+        (0, farthest),
+    )
+
+
+def _jumps(tracks: Tracks) -> Refusal | None:
+    speed = np.linalg.norm(np.diff(tracks.centre, axis=0), axis=1) / np.diff(tracks.times) / max(tracks.size)
+    worst = int(speed.argmax())
+    if speed[worst] <= _JUMP:
+        return None
+    gap = np.linalg.norm(tracks.centre[worst + 1] - tracks.centre[worst])
+    return Refusal(
+        f"the keypoints jump at {tracks.times[worst + 1]:.2f} s, by {gap:.0f} pixels from one frame to the next: they "
+        "have gone over to something else. End before, or mark the object with points or a box.",
+        (worst, worst + 1),
+    )
+
+
+def _unsure(tracks: Tracks) -> Refusal | None:
+    unsure = tracks.confidence.mean(axis=1) < _SURE
+    step = float(np.median(np.diff(tracks.times)))
+    start, longest = _longest_run(unsure)
+    if unsure.mean() <= _UNSURE and longest * step <= _GAP:
+        return None
+    end = min(start + longest, len(unsure) - 1)
+    return Refusal(
+        f"the object was not seen for sure from {tracks.times[start]:.2f} to {tracks.times[end]:.2f} s "
+        f"({unsure.mean():.0%} of all frames): something hides it, it leaves the picture, or it is too blurred. "
+        "Choose a part of the film (start, end), mark the object with points or a box, or film it again.",
+        (max(start - 1, 0), start + longest // 2, end),
+    )
+
+
+def _longest_run(flags: Array) -> tuple[int, int]:
+    """Start and length of the longest run of true values."""
+    best, start = (0, 0), 0
+    for index, flag in enumerate([*flags, False]):
+        if flag:
+            continue
+        best, start = max(best, (start, index - start), key=lambda run: run[1]), index + 1
+    return best

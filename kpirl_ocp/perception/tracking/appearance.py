@@ -1,0 +1,69 @@
+"""How an image looks around points of an object, in two resolutions, so that motion blur can be seen through."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.types import Array
+
+_BLUR = 3.0  # standard deviation of the smooth view [pixels]
+RADII = (10, 20)  # of a patch in the sharp and in the smooth view [pixels]
+_ACROSS = 11  # samples along a side of a patch
+
+
+Greys = tuple[NDArray[np.uint8], NDArray[np.uint8]]
+
+
+class Views(NamedTuple):
+    """A frame as it is compared: grey sharp and smooth, each (H, W), and in smooth colours (H, W, 3)."""
+
+    sharp: NDArray[np.uint8]
+    smooth: NDArray[np.uint8]
+    colour: Frames
+
+    @classmethod
+    def of(cls, image: Frames) -> Views:
+        """The views of an image (H, W, 3) RGB."""
+        grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+        smooth, colour = (np.asarray(cv2.GaussianBlur(view, (0, 0), _BLUR), np.uint8) for view in (grey, image))
+        return cls(grey, smooth, colour)
+
+    @property
+    def grey(self) -> Greys:
+        """The sharp and the smooth view."""
+        return self.sharp, self.smooth
+
+    def turned(self, motion: Array) -> Greys:
+        """The grey views moved by a pose (3, 3), so that an object is seen as in another frame."""
+        height, width = self.sharp.shape
+        sharp, smooth = (
+            np.asarray(cv2.warpAffine(view, motion[:2], (width, height), borderMode=cv2.BORDER_REPLICATE), np.uint8)
+            for view in self.grey
+        )
+        return sharp, smooth
+
+    def patches(self, points: Array, pose: Array) -> tuple[Array, Array]:
+        """Grey values around points (n, 2), turned and scaled with the object: (n, m) sharp and (n, m) smooth."""
+        sharp, smooth = (_sample(view, points, pose, r) for view, r in zip(self.grey, RADII, strict=True))
+        return sharp, smooth
+
+
+def _sample(view: NDArray[np.uint8], points: Array, pose: Array, radius: int) -> Array:
+    axis = np.linspace(-radius, radius, _ACROSS)
+    grid = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2) @ pose[:2, :2].T
+    places = (points[:, None] + grid).astype(np.float32)
+    if not len(points):
+        return np.zeros((0, len(grid)))
+    sampled = cv2.remap(view, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(sampled, float).reshape(len(points), -1)
+
+
+def correlation(one: Array, other: Array) -> Array:
+    """Normalised cross-correlation (n,) of patches (n, m); 0 where a patch is of one grey."""
+    one, other = (values - values.mean(1, keepdims=True) for values in (one, other))
+    return (one * other).sum(1) / np.maximum(np.linalg.norm(one, axis=1) * np.linalg.norm(other, axis=1), 1e-9)

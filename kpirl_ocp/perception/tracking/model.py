@@ -1,0 +1,89 @@
+"""What is remembered of an object: points on it in the coordinates of the first frame, and how their surroundings look.
+
+Points that an image shows are compared with what is remembered, so that blur, an occluder or a look-alike that drags
+points along is noticed; what is seen for sure updates the memory, and new points replace those that stay unseen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kpirl_ocp.errors import DemonstrationError
+from kpirl_ocp.perception.tracking.appearance import Views, correlation
+from kpirl_ocp.perception.tracking.similarity import transform
+from kpirl_ocp.types import Array, Mask
+
+_POINTS = 200
+_LIKE = 0.6  # correlation from which a point looks as it should
+_RENEWAL = 0.1  # weight of the newest look in the memory
+_SPACING = 4  # between corners [pixels]
+_EDGE = 3.0  # points nearer to the image's edge are out of view [pixels]
+_FEWEST = 8
+
+
+@dataclass(eq=False)
+class ObjectModel:
+    """Points of an object.
+
+    mask: (H, W) bool, the object in the first frame. points: (n, 2) [pixels] there.
+    looks: grey values around them, (n, m) in the sharp and (n, m) in the smooth view.
+    """
+
+    mask: Mask
+    points: Array
+    looks: tuple[Array, Array]
+
+    @classmethod
+    def of(cls, views: Views, mask: Mask) -> ObjectModel:
+        """The corners on a mask in the first frame. Raises DemonstrationError if there is too little to hold on to."""
+        points = _corners(views.sharp, mask, _POINTS)
+        if len(points) < _FEWEST:
+            raise DemonstrationError(
+                f"the object shows {len(points)} corners where at least {_FEWEST} are needed: mark a larger part of "
+                "it, or film it nearer, sharper, or with something printed on it."
+            )
+        return cls(mask, points, views.patches(points, np.eye(3)))
+
+    def in_view(self, pose: Array, shape: tuple[int, ...]) -> Mask:
+        """Which points (n,) are inside an image of the shape (H, W) at a pose."""
+        places = transform(pose, self.points)
+        return np.all((places > _EDGE) & (places < np.array(shape[1::-1]) - 1 - _EDGE), axis=1)
+
+    def alike(self, views: Views, pose: Array, chosen: NDArray[np.intp]) -> Mask:
+        """Which of the chosen points look as remembered, in one of the two views."""
+        seen = views.patches(transform(pose, self.points[chosen]), pose)
+        pairs = zip(self.looks, seen, strict=True)
+        return np.any([correlation(look[chosen], now) > _LIKE for look, now in pairs], axis=0)
+
+    def remember(self, views: Views, pose: Array, found: Mask) -> None:
+        """Renew the looks of the points found (n,)."""
+        now = views.patches(transform(pose, self.points[found]), pose)
+        for look, values in zip(self.looks, now, strict=True):
+            look[found] += _RENEWAL * (values - look[found])
+
+    def grow(self, views: Views, pose: Array, alike: Mask, found: Mask) -> Mask:
+        """Add corners where the object has none that looks as remembered, in the place of those that do not.
+
+        Gives `found` (n,) for the new set of points.
+        """
+        height, width = views.sharp.shape
+        free = cv2.warpAffine(self.mask.astype(np.uint8), pose[:2], (width, height))
+        for x, y in transform(pose, self.points[alike]).astype(int).tolist():
+            cv2.circle(free, (x, y), _SPACING + 1, 0, -1)
+        new = _corners(views.sharp, free > 0, _POINTS // 5)
+        keep = np.sort(np.argsort(~alike, kind="stable")[: _POINTS - len(new)])
+        looks = views.patches(new, pose)
+        self.points = np.vstack([self.points[keep], transform(np.asarray(np.linalg.inv(pose), float), new)])
+        first, second = (np.vstack([old[keep], added]) for old, added in zip(self.looks, looks, strict=True))
+        self.looks = first, second
+        return np.append(found[keep], np.ones(len(new), bool))
+
+
+def _corners(grey: NDArray[np.uint8], mask: Mask, count: int) -> Array:
+    """At most `count` corners (n, 2) on a mask (Shi and Tomasi, 1994), best first."""
+    found = cv2.goodFeaturesToTrack(grey, count, 0.005, _SPACING, mask=mask.astype(np.uint8), blockSize=5)
+    return np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(float)

@@ -1,0 +1,72 @@
+"""Tracks on top of the film: a contact sheet and a video, for a person to judge what was followed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from kpirl_ocp.figures import COLOURS, save
+from kpirl_ocp.perception.data.encoding import write_video
+from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.perception.tracking.tracks import Tracks
+from kpirl_ocp.types import Array
+
+_TRAIL = 30  # frames of the past that a track shows
+_COLUMNS = 4
+
+
+def overlay(image: Frames, trails: Array, confidence: Array | None = None) -> Frames:
+    """An image (H, W, 3) with the paths (t, K, 2) [pixels] of keypoints up to now; a ring is one that is not seen."""
+    canvas = np.ascontiguousarray(image).copy()
+    thickness = max(1, round(max(image.shape[:2]) / 400))
+    for number in range(trails.shape[1]):
+        rgb = tuple(int(255 * value) for value in to_rgb(COLOURS[number % len(COLOURS)]))
+        trail = trails[:, number].round().astype(np.int32)
+        cv2.polylines(canvas, [trail], isClosed=False, color=rgb, thickness=thickness, lineType=cv2.LINE_AA)
+        seen = confidence is None or confidence[number] > 0
+        cv2.circle(canvas, trail[-1].tolist(), 3 * thickness, rgb, -1 if seen else thickness, cv2.LINE_AA)
+    return canvas
+
+
+def overlays(frames: Iterable[tuple[float, Frames]], tracks: Tracks) -> Iterator[Frames]:
+    """The frames of the tracks, one by one, with the paths drawn into them."""
+    for index, (_, image) in zip(range(len(tracks.times)), frames, strict=False):
+        past = slice(max(0, index - _TRAIL), index + 1)
+        yield overlay(image, tracks.positions[past], tracks.confidence[index])
+
+
+def track_film(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Tracks) -> Path:
+    """Write an .mp4 of the frames (time [s], image (H, W, 3)) of the tracks with their paths."""
+    rate = 1 / float(np.median(np.diff(tracks.times)))
+    return write_video(path, overlays(frames, tracks), round(rate, 2), codec="h264")
+
+
+def track_sheet(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Tracks, chosen: Sequence[int]) -> Path:
+    """Write a picture of the chosen frames, each with the keypoints' way so far, its time and the mean confidence."""
+    images = {index: image for index, (_, image) in enumerate(frames) if index in set(chosen)}
+    rows = -(-len(chosen) // _COLUMNS)
+    width, height = tracks.size
+    figure = Figure(figsize=(3.0 * _COLUMNS, (3.0 * height / width + 0.3) * rows), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, _COLUMNS, squeeze=False)).ravel()
+    for axis, index in zip(axes, chosen, strict=False):
+        axis.imshow(images[index], extent=(0, width, height, 0))
+        for number in range(tracks.positions.shape[1]):
+            colour, way = COLOURS[number % len(COLOURS)], tracks.positions[: index + 1, number]
+            seen = tracks.confidence[index, number] > 0
+            axis.plot(*way.T, color=colour, linewidth=1)
+            axis.scatter(*way[-1], s=22, facecolors=colour if seen else "none", edgecolors=colour)
+        axis.set(xlim=(0, width), ylim=(height, 0))
+        axis.set_title(f"{tracks.times[index]:.2f} s, seen {tracks.confidence[index].mean():.0%}", fontsize=9)
+    for axis in axes:
+        axis.set_axis_off()
+    return save(figure, path)
+
+
+def evenly(count: int, of: int) -> list[int]:
+    """At most `count` indices spread evenly over 0 .. of - 1."""
+    return sorted(set(np.linspace(0, of - 1, count).round().astype(int).tolist()))

@@ -1,0 +1,209 @@
+"""Follow one rigid object through a film.
+
+From frame to frame its points are followed by optical flow, and the pose is the similarity that most of them agree on;
+so points that are lost or hidden are restored by the others. A pose counts only if enough points also look as they
+should. An object that is lost stays where it was until it is found again: with the flow from earlier frames, or with
+its picture in the neighbourhood; where several places look alike, none is believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.perception.tracking.appearance import Greys, Views
+from kpirl_ocp.perception.tracking.model import ObjectModel
+from kpirl_ocp.perception.tracking.optical_flow import follow
+from kpirl_ocp.perception.tracking.redetection import Memory, candidates
+from kpirl_ocp.perception.tracking.similarity import fit, scale, transform
+from kpirl_ocp.types import Array, Mask
+
+_WINDOWS, _GAPS, _TOLERANCES = (21, 41), (1.0, 2.0), (1.0, 3.0)  # sharp and smooth [pixels]
+_FEWEST = 8  # points that must be found
+_SEEN = 0.12  # share of the points in view that must be found
+_TOGETHER = 0.8  # share that moves as one from which nothing else is asked: light and mirror images change looks
+_SURE = 0.4  # share with which no better match is looked for
+_AS_GOOD = 0.8  # share of the points that may be lost by going back to a sure frame
+_ALIKE = 0.7  # share that looks as remembered from which a frame is a new reference for later ones
+_APART, _RIVAL = 15.0, 0.7  # another place [pixels] is a rival with this share of the best one's points
+_MANY = 100  # points with which no more are looked for
+_RESTS = 1.0  # an object that moves less from one frame to the next is not blurred [pixels]
+_GROWTH = 1.25  # largest change of scale from one frame to the next
+
+
+class Located(NamedTuple):
+    """Where an object is in a frame.
+
+    time: [s]. pose: (3, 3) similarity from the first frame. points: (n, 2) [pixels], its points in this frame.
+    found: (n,) which of them were found there and look as they should; none while the object is lost.
+    in_view: (n,) which of them the image should show.
+    """
+
+    time: float
+    pose: Array
+    points: Array
+    found: Mask
+    in_view: Mask
+
+    @property
+    def confidence(self) -> float:
+        """Share of the points in view that were found."""
+        return float(self.found.sum() / max(1, self.in_view.sum()))
+
+
+@dataclass(eq=False)
+class _Match:
+    """A pose, the points found there, those of them that look as remembered, the share of those in view found."""
+
+    pose: Array
+    found: Mask
+    alike: Mask
+    share: float
+    sharp: bool
+
+
+def track(frames: Iterable[tuple[float, Frames]], mask: Mask) -> Iterator[Located]:
+    """Follow the object that `mask` (H, W) shows in the first of the frames (time [s], image (H, W, 3) RGB).
+
+    Raises DemonstrationError if the object has too few corners.
+    """
+    tracker: _Tracker | None = None
+    for time, image in frames:
+        views = Views.of(image)
+        if tracker is None:
+            tracker = _Tracker.start(views, mask)
+            yield tracker.located(time, np.ones(len(tracker.model.points), bool))
+        else:
+            yield tracker.located(time, tracker.step(views))
+
+
+@dataclass(eq=False)
+class _Tracker:
+    """State between frames.
+
+    first: the first frame. before: the last one and the pose in it. sure, recent: frames to find the object again from.
+    motion: (3, 3) pose by pose. lost: frames since it was last found.
+    """
+
+    model: ObjectModel
+    first: Memory
+    before: Memory
+    sure: Memory
+    recent: Memory
+    motion: Array
+    lost: int = 0
+
+    @classmethod
+    def start(cls, views: Views, mask: Mask) -> _Tracker:
+        first = Memory(views, np.eye(3))
+        return cls(ObjectModel.of(views, mask), first, first, first, first, np.eye(3))
+
+    def located(self, time: float, found: Mask) -> Located:
+        pose, model = self.before.pose, self.model
+        in_view = model.in_view(pose, self.before.views.sharp.shape)
+        return Located(time, pose, transform(pose, model.points), found & in_view, in_view)
+
+    def step(self, views: Views) -> Mask:
+        """Find the object in the next frame; gives which of its points were found (n,)."""
+        pose = self.before.pose
+        match = self._onward(views) if not self.lost else None
+        match = self._anchored(views, match) if match else self._again(views)
+        if match is None:
+            self.lost, self.motion = self.lost + 1, np.eye(3)
+            self.before = Memory(views, pose)
+            return np.zeros(len(self.model.points), bool)
+        self.motion = np.eye(3) if self.lost else match.pose @ np.linalg.inv(pose)
+        self.lost, self.before = 0, Memory(views, match.pose)
+        return self._learn(match)
+
+    def _onward(self, views: Views) -> _Match | None:
+        """From the frame before: the better of what the sharp and the smooth view say."""
+        pose = self.before.pose
+        best: _Match | None = None
+        for level in (0, 1):
+            for guess in (self.motion @ pose, pose):
+                match = self._match(views, self.before.views.grey, pose, guess, level)
+                if match and (best is None or match.share > best.share):
+                    best = match
+                if best and best.share > _SURE:
+                    return best
+        return best
+
+    def _anchored(self, views: Views, onward: _Match) -> _Match:
+        """The match from a sure frame, if it is the better one: steps from frame to frame add up their errors."""
+        for memory in (self.first, self.sure):
+            anchored = self._match(views, memory.at(onward.pose), onward.pose, onward.pose, 0)
+            if anchored and anchored.alike.sum() >= _AS_GOOD * onward.alike.sum():
+                return anchored
+        if onward.sharp and onward.alike.sum() >= _ALIKE * self.model.in_view(onward.pose, views.sharp.shape).sum():
+            self.sure = Memory(views, onward.pose)
+        return onward
+
+    def _again(self, views: Views) -> _Match | None:
+        """Where it was, else nearby, from the last sure frame or the last one in which it was seen."""
+        pose = self.before.pose
+        for memory in (self.sure, self.recent):
+            greys = memory.at(pose)
+            for level in (0, 1):
+                match = self._match(views, greys, pose, pose, level)
+                if match:
+                    return match
+        matches = [
+            match
+            for guess in candidates(views, self.sure, pose, self.model.mask, self.lost)
+            for greys in [self.sure.at(guess)]
+            for level in (0, 1)
+            if (match := self._match(views, greys, guess, guess, level))
+        ]
+        return _unambiguous(matches)
+
+    def _match(self, views: Views, before: Greys, pose_before: Array, guess: Array, level: int) -> _Match | None:
+        """The pose to which flow from an earlier image leads, if enough points agree and look right."""
+        model, shape = self.model, views.sharp.shape
+        chosen = np.flatnonzero(model.in_view(pose_before, shape))
+        points = model.points[chosen]
+        start, end = transform(pose_before, points), transform(guess, points)
+        places, held = follow(before[level], views.grey[level], start, end, _WINDOWS[level], _GAPS[level])
+        agreed = fit(points[held], places[held], _TOLERANCES[level])
+        if agreed is None or not 1 / _GROWTH < scale(agreed[0]) / scale(self.before.pose) < _GROWTH:
+            return None
+        pose, inliers = agreed[0], chosen[held][agreed[1]]
+        in_view = model.in_view(pose, shape)
+        agree, alike = np.zeros((2, len(model.points)), bool)
+        agree[inliers], alike[inliers] = True, model.alike(views, pose, inliers)
+        agree, alike = agree & in_view, alike & in_view
+        together = agree.sum() >= _TOGETHER * in_view.sum()
+        found = agree if together else alike
+        share = found.sum() / max(1, in_view.sum())
+        return _Match(pose, found, alike, share, level == 0) if found.sum() >= _FEWEST and share >= _SEEN else None
+
+    def _learn(self, match: _Match) -> Mask:
+        """Take from the frame what is sure; gives which points were found.
+
+        New points are taken up only where the object rests and most of it agrees, but few points are known or they
+        look otherwise than remembered: new ones inherit the error of the pose in which they are first seen.
+        """
+        views, pose, model = self.before.views, match.pose, self.model
+        if match.share > _SEEN + 0.1:
+            self.recent = self.before
+        if not match.sharp:
+            return match.found
+        model.remember(views, pose, match.alike)
+        rests = np.abs(transform(self.motion, model.points) - model.points).max() < _RESTS
+        stale = match.alike.sum() < _TOGETHER * match.found.sum() or match.found.sum() < _MANY
+        if rests and match.share >= _TOGETHER and stale:
+            return model.grow(views, pose, match.alike, match.found)
+        return match.found
+
+
+def _unambiguous(matches: list[_Match]) -> _Match | None:
+    """The best match, unless another place looks nearly as good."""
+    if not matches:
+        return None
+    best = max(matches, key=lambda match: match.share)
+    elsewhere = [m for m in matches if np.linalg.norm(m.pose[:2, 2] - best.pose[:2, 2]) > _APART]
+    return None if any(match.share > _RIVAL * best.share for match in elsewhere) else best

@@ -1,0 +1,192 @@
+"""Tracks of keypoints through a film, our own or anybody's, and the files that hold them.
+
+A `.npz` may come from CoTracker, TAPIR or `write_tracks`; a `.csv` has the columns point, x, y, and time or frame, and
+visibility if it is known.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.episodes import atomic_write
+from kpirl_ocp.errors import DemonstrationError, FileError
+from kpirl_ocp.perception.data.video import sampled
+from kpirl_ocp.perception.tracking.similarity import transform
+from kpirl_ocp.perception.tracking.tracker import Located
+from kpirl_ocp.types import Array, Mask
+
+_PLACES = ("tracks", "pred_tracks", "positions", "points")
+_VISIBLE = ("confidence", "visibility", "pred_visibility", "visible")
+_HIDDEN = ("occluded", "pred_occlusion")
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Keypoints in a film.
+
+    times: (n,) [s]. positions: (n, K, 2) [pixels], x to the right and y down.
+    confidence: (n, K) in [0, 1], how much of what is around a keypoint was found in the frame and looked as it should.
+    size: width and height of the frames [pixels].
+    """
+
+    times: Array
+    positions: Array
+    confidence: Array
+    size: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        n = len(self.times)
+        if n < 2 or self.positions.ndim != 3 or self.positions.shape[0] != n or self.positions.shape[2] != 2:
+            shape = self.positions.shape
+            raise DemonstrationError(f"tracks must be (n, K, 2) with n = {n} times of at least 2, got {shape}.")
+        if self.confidence.shape != self.positions.shape[:2]:
+            raise DemonstrationError(f"visibility must be {self.positions.shape[:2]}, got {self.confidence.shape}.")
+        if not (np.diff(self.times) > 0).all():
+            raise DemonstrationError("the times of tracks must rise.")
+        if not np.isfinite(self.positions[self.confidence > 0]).all():
+            raise DemonstrationError("tracks hold NaN or infinity where the keypoint is visible.")
+
+    @property
+    def centre(self) -> Array:
+        """(n, 2) mean of the keypoints [pixels]."""
+        return np.asarray(self.positions.mean(axis=1), float)
+
+    def between(self, start: float, end: float) -> Tracks:
+        """The part from `start` to `end` [s], its times from zero on."""
+        part = (self.times >= start - 1e-9) & (self.times <= end + 1e-9)
+        if part.sum() < 2:
+            raise DemonstrationError(f"the tracks have fewer than two frames between {start:g} and {end:g} s.")
+        return Tracks(self.times[part] - self.times[part][0], self.positions[part], self.confidence[part], self.size)
+
+    def at_rate(self, rate: float) -> Tracks:
+        """The frames nearest to k / rate [s]."""
+        rows = [row for _, row in sampled(zip(self.times - self.times[0], range(len(self.times)), strict=True), rate)]
+        return Tracks(self.times[rows] - self.times[0], self.positions[rows], self.confidence[rows], self.size)
+
+
+def of_object(located: Iterable[Located], keypoints: ArrayLike, size: tuple[int, int]) -> Tracks:
+    """Tracks of keypoints (K, 2) [pixels] that are fixed to an object, given in the first frame."""
+    points = np.asarray(keypoints, float)
+    times, positions, confidence = [], [], []
+    reach = max(1.0, float(np.linalg.norm(points - points.mean(axis=0), axis=1).max()), 0.05 * max(size))
+    for frame in located:
+        places = transform(frame.pose, points)
+        gaps = np.linalg.norm(frame.points[None] - places[:, None], axis=-1)  # (K, n)
+        near = np.exp(-0.5 * (gaps / reach) ** 2) * frame.in_view
+        times.append(frame.time)
+        positions.append(places)
+        confidence.append((near * frame.found).sum(axis=1) / np.maximum(near.sum(axis=1), 1e-9))
+    return Tracks(np.array(times), np.array(positions), np.array(confidence), size)
+
+
+def spread(mask: Mask) -> Array:
+    """Four keypoints (4, 2) [pixels] on an object (H, W): two deviations along each of its principal axes."""
+    rows, columns = np.nonzero(mask)
+    points = np.column_stack([columns, rows]) + 0.5
+    lengths, axes = np.linalg.eigh(np.cov(points.T))
+    arms = np.sqrt(lengths)[:, None] * axes.T
+    return np.asarray(points.mean(axis=0) + np.concatenate([-arms, arms]), float)
+
+
+def write_tracks(path: Path, tracks: Tracks) -> Path:
+    """Write a `.npz` that `read_tracks` reads."""
+    with atomic_write(path) as file:
+        np.savez_compressed(
+            file,
+            tracks=tracks.positions,
+            visibility=tracks.confidence,
+            times=tracks.times,
+            size=np.array(tracks.size),
+        )
+    return path
+
+
+def read_tracks(path: str | Path, *, rate: float | None = None, size: tuple[int, int] | None = None) -> Tracks:
+    """Tracks of a `.npz` or `.csv` file.
+
+    Args:
+        path: positions (n, K, 2) [pixels], a leading axis of length one is left out; visibility (n, K), true or
+            false or in [0, 1], all ones if the file has none.
+        rate: [Hz] of the frames, where the file has no times.
+        size: width and height of the frames [pixels], where the file does not say; else what the tracks span.
+
+    Raises:
+        FileError: the file is missing, has another layout, or no times and no rate.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileError(f"there are no tracks {path}.")
+    if path.suffix.lower() == ".csv":
+        positions, confidence, times = _from_csv(path)
+        known = size
+    elif path.suffix.lower() == ".npz":
+        positions, confidence, times, known = _from_npz(path, size)
+    else:
+        raise FileError(f"{path}: tracks come as .npz or .csv.")
+    if times is None:
+        if rate is None:
+            raise FileError(f"{path} has no times: say the frame rate of the film.")
+        times = np.arange(len(positions)) / rate
+    if known is None:
+        width, height = np.ceil(np.nanmax(positions, axis=(0, 1))).astype(int).tolist()
+        known = (width, height)
+    try:
+        return Tracks(times, positions, confidence, known)
+    except DemonstrationError as error:
+        raise FileError(f"{path}: {error}") from error
+
+
+def _from_npz(path: Path, size: tuple[int, int] | None) -> tuple[Array, Array, Array | None, tuple[int, int] | None]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            content = {name: file[name] for name in file.files}
+    except (OSError, ValueError, BadZipFile) as error:
+        raise FileError(f"{path} cannot be read: {error}") from error
+    positions = _taken(content, _PLACES)
+    if positions is None:
+        raise FileError(f"{path} has none of the keys {', '.join(_PLACES)}; it has {', '.join(content) or 'none'}.")
+    seen, hidden = _taken(content, _VISIBLE), _taken(content, _HIDDEN)
+    visible = np.ones(positions.shape[:-1]) if seen is None else seen
+    visible = visible if hidden is None or seen is not None else 1.0 - hidden
+    if "size" in content:
+        width, height = content["size"].astype(int).tolist()
+        size = (width, height)
+    times = content.get("times")
+    return positions, visible, None if times is None else times.astype(float), size
+
+
+def _taken(content: Mapping[str, Array], names: tuple[str, ...]) -> Array | None:
+    """The first of the named arrays, without a batch axis of length one."""
+    name = next((name for name in names if name in content), None)
+    if name is None:
+        return None
+    array = content[name].astype(float)
+    batched = array.ndim == (4 if name in _PLACES else 3) and array.shape[0] == 1
+    return np.asarray(array[0] if batched else array, float)
+
+
+def _from_csv(path: Path) -> tuple[Array, Array, Array | None]:
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    if not rows or not {"point", "x", "y"} <= rows[0].keys() or not {"time", "frame"} & rows[0].keys():
+        raise FileError(f"{path} must have the columns point, x, y, and time or frame; visibility if it is known.")
+    when = "time" if "time" in rows[0] else "frame"
+    try:
+        moments = sorted({float(row[when]) for row in rows})
+        names = list(dict.fromkeys(row["point"] for row in rows))
+        positions = np.full((len(moments), len(names), 2), np.nan)
+        confidence = np.zeros((len(moments), len(names)))
+        for row in rows:
+            place = moments.index(float(row[when])), names.index(row["point"])
+            positions[place] = float(row["x"]), float(row["y"])
+            confidence[place] = float(row.get("visibility") or 1.0)
+    except ValueError as error:
+        raise FileError(f"{path} holds something that is no number: {error}") from error
+    return positions, confidence, np.array(moments) if when == "time" else None
