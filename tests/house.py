@@ -45,6 +45,7 @@ ORDER = {
     "perception": [
         ("scene",),
         ("data",),
+        ("tracking",),
         ("detector", "dynamics"),
         ("plant",),
     ],

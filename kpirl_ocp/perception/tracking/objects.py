@@ -117,9 +117,10 @@ def _outline(image: Frames, body: Array, still: Array, hidden: Mask | None) -> M
 def _cut(image: Frames, labels: NDArray[np.uint8]) -> Mask:
     """GrabCut (Rother et al., 2004), from labels of sure and possible background and object."""
     cv2.setRNGSeed(0)  # its colour clusters are drawn from a global generator
-    models = np.zeros((2, 1, 65))
+    behind, front = np.zeros((2, 1, 65))
     labels = labels.copy()
-    cv2.grabCut(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), labels, (0, 0, 1, 1), *models, _ITERATIONS, cv2.GC_INIT_WITH_MASK)
+    colours, nowhere = cv2.cvtColor(image, cv2.COLOR_RGB2BGR), (0, 0, 1, 1)
+    cv2.grabCut(colours, labels, nowhere, behind, front, _ITERATIONS, cv2.GC_INIT_WITH_MASK)
     found = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
     if not found.any():
         raise DemonstrationError("nothing there differs in colour from what is around: use another box, or points.")
