@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from kpirl_ocp.ocp.models.robot import Robot
 from kpirl_ocp.perception.plant.camera_plant import Disturbance
+from kpirl_ocp.perception.scene.scene import Scene
 from reproduction.data import Models
 from reproduction.learning import DEFAULT_MORE_STEPS, MORE_STEPS, Contender
 from reproduction.placing import SUCCESS, Condition, Setup, name_of, play, scores
@@ -27,7 +27,6 @@ TIME_DEPENDENT = Contender("TimeDep", "unrolled, more steps")
 CLOSED = (*MORE_STEPS, Contender("TimeDep", "implicit"), DEFAULT_MORE_STEPS)
 RUNS = (*((contender, True) for contender in CLOSED), (TIME_DEPENDENT, False))  # the last for comparison
 _NEAR, _FAR = 0.01, 0.12  # how far joints 2, 4 and 6 are from start 1, at most [rad]
-_LIMITS = Robot.iiwa().joint_limits
 _IN_PLANE = np.array([0, 1, 0, 1, 0, 1, 0])
 
 
@@ -75,10 +74,12 @@ def run(
 ) -> Result:
     """Distances of the bottle from its goal (cases,) [pixels]; success is SUCCESS or less."""
     distances, squared = [], []
+    with Scene() as scene:
+        limits = scene.joint_limits
     for case, (setup, cost) in enumerate(zip(setups, learned, strict=True)):
         rng = np.random.default_rng([case, 11])
         spread = _FAR if far else _NEAR
-        joints = np.clip(setup.joints[0] + _IN_PLANE * rng.uniform(-spread, spread, 7), *_LIMITS)
+        joints = np.clip(setup.joints[0] + _IN_PLANE * rng.uniform(-spread, spread, 7), *limits)
         done, plant = play(models, cost, joints, setup, closed_loop, condition, rng)
         found = scores(done, plant, setup)
         distances.append(found["bottle"])
