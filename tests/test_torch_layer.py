@@ -1,5 +1,10 @@
 """An OCP as a layer in PyTorch: trajectories of the solver, gradients that gradcheck believes, nothing silent."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -204,3 +209,13 @@ def test_a_network_upstream_learns_what_the_cost_depends_on():
         optimiser.step()
         losses.append(loss.item())
     assert losses[-1] < 0.01 * losses[0]
+
+
+def test_the_published_imitation_task_is_solved():
+    """A short one; all 20 starts with 32 demonstrations of 100 steps take some minutes."""
+    script = Path(__file__).parents[1] / "scripts" / "imitate_expert.py"
+    arguments = [sys.executable, script, "--starts", "2", "--demonstrations", "4", "--horizon", "20"]
+    environment = os.environ | {"PYTHONPATH": str(script.parents[1])}
+    ran = subprocess.run(arguments, capture_output=True, text=True, check=False, env=environment)
+    assert ran.returncode == 0, ran.stderr
+    assert "found from every start: True" in ran.stdout
