@@ -178,6 +178,8 @@ class House:
                 yield f"{path} has more than {MOST_LINES} lines"
             parts = Path(path).parts
             files[Path(path).parent.as_posix()].add(parts[-1])
+            for name in _wordy(text):
+                yield f"{path}: the docstring of {name} begins with What, How or See"
             if parts[0] in ORDER and len(parts) == 2 and parts[1] != "__init__.py":
                 yield f"{path} is in no room"
         for folder, names in files.items():
@@ -226,6 +228,14 @@ def _circles(graph):
 def _says_what_it_is(source):
     docstring = ast.get_docstring(ast.parse(source))
     return bool(docstring) and docstring.splitlines()[0].endswith(".")
+
+
+def _wordy(source):
+    """Names of what has a docstring that begins with a question word, or a mere reference, where a noun belongs."""
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, documented) and re.match(r"(What|How|See)\b", ast.get_docstring(node) or ""):
+            yield getattr(node, "name", "the module")
 
 
 def _offers_names(source):

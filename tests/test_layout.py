@@ -143,6 +143,11 @@ FORBIDDEN = {  # file, its source, what is reported
         '"""Solvers."""',
         "ocp/solvers/__init__.py offers no names",
     ),
+    "a docstring without a noun": (
+        KKT,
+        'def f():\n    """What f gives."""',
+        "ocp/linear/kkt.py: the docstring of f begins with What, How or See",
+    ),
     "a room without a place": ("irl/attic/__init__.py", ROOM, "irl/attic has no place in the order of rooms"),
 }
 

@@ -153,7 +153,7 @@ const char {PREFIX}_exported_version[] = "{described}";
 
 
 def _manifest(problem: OCP, solver: Solver, target: Target, prefix: str, psi: Array, files: Mapping[str, str]) -> str:
-    """What an ExportedSolver checks before it believes in a folder, and what a reader wants to know."""
+    """The manifest: what identifies the folder to an ExportedSolver, and a description for readers."""
     bounds = constant_bounds(problem)
     content = {
         "format": FORMAT,

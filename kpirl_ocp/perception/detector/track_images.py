@@ -96,6 +96,6 @@ def keypoint_paths(axis: Axes, wanted: Array, done: Array, size: int) -> None:
         axis.plot(*there.T, ":", color=colour)
         axis.plot(*here.T, ".-", color=colour, linewidth=1)
         axis.scatter(*there[-1], s=60, facecolors="none", edgecolors=colour)
-    axis.set(title="demonstrated (dotted) and done", xlabel="x [pixels]", ylabel="y [pixels]", aspect="equal")
+    axis.set(title="dotted: demonstrated", xlabel="x [pixels]", ylabel="y [pixels]", aspect="equal")
     axis.invert_yaxis()
     axis.grid(alpha=0.3)

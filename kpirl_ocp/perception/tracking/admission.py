@@ -1,4 +1,4 @@
-"""Whether tracks are a demonstration: they must move, not jump, and be sure. Else a refusal in plain words."""
+"""Admission of tracks as a demonstration: they must move, not jump, and be sure; else a refusal in plain words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How an image looks around points of an object, in two resolutions, so that motion blur can be seen through."""
+"""Patches of an image around points of an object, sharp and smoothed, so that motion blur hides none."""
 
 from __future__ import annotations
 

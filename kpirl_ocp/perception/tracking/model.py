@@ -1,7 +1,7 @@
-"""What is remembered of an object: points on it in the coordinates of the first frame, and how their surroundings look.
+"""Appearance model of an object: points on it in the coordinates of the first frame, with the patches around them.
 
-Points that an image shows are compared with what is remembered, so that blur, an occluder or a look-alike that drags
-points along is noticed; what is seen for sure updates the memory, and new points replace those that stay unseen.
+Points of an image are compared with the model, so that blur, an occluder or a look-alike that drags points along is
+noticed; sure matches update the model, and new points replace those that stay hidden.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ class ObjectModel:
         return cls(mask, points, views.patches(points, np.eye(3)))
 
     def in_view(self, pose: Array, shape: tuple[int, ...]) -> Mask:
-        """Which points (n,) are inside an image of the shape (H, W) at a pose."""
+        """Mask of the points (n,) that are inside an image of the shape (H, W) at a pose."""
         places = transform(pose, self.points)
         return np.all((places > _EDGE) & (places < np.array(shape[1::-1]) - 1 - _EDGE), axis=1)
 
     def alike(self, views: Views, pose: Array, chosen: NDArray[np.intp]) -> Mask:
-        """Which of the chosen points look as remembered, in one of the two views."""
+        """Mask of the chosen points whose patches match the model, in one of the two views."""
         seen = views.patches(transform(pose, self.points[chosen]), pose)
         pairs = zip(self.looks, seen, strict=True)
         return np.any([correlation(look[chosen], now) > _LIKE for look, now in pairs], axis=0)

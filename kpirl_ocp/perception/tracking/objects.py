@@ -1,4 +1,4 @@
-"""Which object to follow: a box or clicks in the first frame, or what moves. The outline comes from GrabCut."""
+"""Choice of the object to follow: a box or clicks in the first frame, or what moves. The outline comes from GrabCut."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where points of one image are in another: pyramidal Lucas and Kanade, there and back.
+"""Points of one image in another, by optical flow: pyramidal Lucas and Kanade, there and back.
 
 A point whose way back does not end where it began is lost (forward-backward check, Kalal et al., 2010).
 """

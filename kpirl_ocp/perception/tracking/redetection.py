@@ -1,4 +1,4 @@
-"""Where a lost object may be: places whose colours look like it, near to where it was last seen."""
+"""Candidate places of a lost object: those with its colours, near its last known place."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ _GROWTH = 1.25  # largest change of scale from one frame to the next
 
 
 class Located(NamedTuple):
-    """Where an object is in a frame.
+    """An object located in a frame.
 
     time: [s]. pose: (3, 3) similarity from the first frame. points: (n, 2) [pixels], its points in this frame.
     found: (n,) which of them were found there and look as they should; none while the object is lost.
@@ -144,7 +144,7 @@ class _Tracker:
         return onward
 
     def _again(self, views: Views) -> _Match | None:
-        """Where it was, else nearby, from the last sure frame or the last one in which it was seen."""
+        """A match at the last place, else nearby, from the last sure frame or the last one with a match."""
         pose = self.before.pose
         for memory in (self.sure, self.recent):
             greys = memory.at(pose)

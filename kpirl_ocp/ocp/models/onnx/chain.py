@@ -59,7 +59,7 @@ class _Layers:
         return affine is not None and self._affine(affine(node, value, known))
 
     def network(self) -> MLP:
-        """What was collected."""
+        """The network of the collected layers."""
         if not self.open and (not self.weights or (self.scale != 1).any() or (self.shift != 0).any()):
             self._append(np.eye(len(self.scale)), np.zeros(len(self.scale)))
         return MLP(tuple(self.weights), tuple(self.biases), tuple(self.activations))

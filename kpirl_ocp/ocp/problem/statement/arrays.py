@@ -1,4 +1,4 @@
-"""What users hand over and get back, as arrays of the shapes that a problem has."""
+"""Arrays of users in the shapes that a problem has."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class Additions:
 
     @property
     def states(self) -> Array:
-        """What all added states start from."""
+        """Initial values of all added states."""
         return np.array([*self.static, *[0.0] * self.end_slacks])
 
 
