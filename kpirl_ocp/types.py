@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -46,18 +46,42 @@ class Demonstration:
     s0: (n_s,) initial state.
     context: (n_c,) known to the cost, e.g. the goal keypoints.
     observations: (T+1, n_z), which the IRL loss compares with `OCP.observation` of the planned states.
+    actions: (T, n_u), for losses on actions; None where they were not recorded.
+    frames: (k,) ascending times t that were observed, if not all were; then observations are (k, n_z).
+
+    Raises ProblemError for arrays that are not finite, and frames that do not fit the observations.
     """
 
     s0: Array
     context: Array
     observations: Array
+    actions: Array | None = field(default=None, kw_only=True)
+    frames: Indices | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name in ("s0", "context", "observations"):
-            value = np.asarray(getattr(self, name), float)
+        for name in ("s0", "context", "observations", "actions"):
+            if getattr(self, name) is None and name == "actions":
+                continue
+            try:
+                value = np.asarray(getattr(self, name), float)
+            except (TypeError, ValueError) as error:
+                raise ProblemError(f"the demonstration's {name} must be an array of numbers.") from error
             if not np.isfinite(value).all():
                 raise ProblemError(f"the demonstration's {name} must be finite; it holds NaN or infinity.")
             object.__setattr__(self, name, value)
+        if self.frames is not None:
+            frames = np.asarray(self.frames)
+            whole = frames.ndim == 1 and frames.dtype.kind in "iu"
+            if not whole or len(frames) != len(self.observations) or (np.diff(frames, prepend=-1) <= 0).any():
+                raise ProblemError("the demonstration's frames must be ascending times, one for every observation.")
+            object.__setattr__(self, "frames", frames.astype(np.intp))
+
+    @property
+    def horizon(self) -> int:
+        """T, number of steps; that of the actions, or up to the last frame."""
+        if self.actions is not None:
+            return len(self.actions)
+        return len(self.observations) - 1 if self.frames is None else int(self.frames[-1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from kpirl_ocp import figures
 from kpirl_ocp.irl.cases.examples import CASES, unconstrained
-from kpirl_ocp.irl.learning.learn import LearningResult
+from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 

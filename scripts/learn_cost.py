@@ -15,8 +15,9 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.cost_files import BASES, LearnedCost, make_basis
 from kpirl_ocp.irl.cases.tasks import HORIZON, TASKS, as_demonstration, demonstrate
 from kpirl_ocp.irl.learning.evaluation import Evaluation, evaluate
-from kpirl_ocp.irl.learning.learn import LearningResult, learn
+from kpirl_ocp.irl.learning.learn import learn
 from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Descent
+from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.ocp.models import KeypointCost, Robot
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.learning.learn import LearningResult
+from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.ocp.problem.ocp import OCP, Bounds
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate
 from kpirl_ocp.pictures import COLOURS, draw

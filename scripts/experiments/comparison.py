@@ -16,8 +16,9 @@ from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 from kpirl_ocp.irl.hypergradients.finite_difference import FiniteDifference
 from kpirl_ocp.irl.hypergradients.implicit import Implicit
 from kpirl_ocp.irl.hypergradients.unrolled import Truncated, Unrolled
-from kpirl_ocp.irl.learning.learn import LearningResult, learn
+from kpirl_ocp.irl.learning.learn import learn
 from kpirl_ocp.irl.learning.optimisers import Adam
+from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 from kpirl_ocp.types import Array
 

@@ -18,8 +18,9 @@ from kpirl_ocp.irl.hypergradients.implicit import Implicit
 from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
 from kpirl_ocp.irl.learning.apprenticeship import apprenticeship
 from kpirl_ocp.irl.learning.evaluation import evaluate
-from kpirl_ocp.irl.learning.learn import LearningResult, learn
+from kpirl_ocp.irl.learning.learn import learn
 from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam
+from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.ocp.models.keypoint_costs import Default, KeypointCost, Weighted
 from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp
 from kpirl_ocp.ocp.models.robot import Robot

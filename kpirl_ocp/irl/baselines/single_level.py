@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.certificate import demonstrated_observations
+from kpirl_ocp.irl.hypergradients.loss import demonstrated_observations
 from kpirl_ocp.ocp.conditions.program import transcribe
 from kpirl_ocp.ocp.problem.layout import equality_multipliers, given, limits, live_inequalities, pack
 from kpirl_ocp.ocp.problem.ocp import OCP

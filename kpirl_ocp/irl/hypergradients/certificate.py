@@ -11,7 +11,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, require
@@ -45,16 +44,6 @@ def enforce(policy: str, result: HypergradientResult) -> HypergradientResult:
     """The result, or CertificateError if it is not certified and the policy is not "flag"."""
     require(policy, result.certificate)
     return result
-
-
-def demonstrated_observations(problem: OCP, demonstration: Demonstration) -> Array:
-    """Observations of the demonstration as (n_z, T+1). Raises ProblemError if they do not fit the problem."""
-    expected = (problem.horizon + 1, problem.n_observations)
-    if demonstration.observations.shape != expected:
-        raise ProblemError(
-            f"the demonstration's observations must be (T+1, n_z) = {expected}, got {demonstration.observations.shape}."
-        )
-    return demonstration.observations.T
 
 
 def nonfinite_failures(loss: float, gradient: Array) -> list[str]:

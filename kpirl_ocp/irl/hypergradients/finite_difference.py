@@ -19,11 +19,10 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import (
     HypergradientResult,
-    demonstrated_observations,
     enforce,
     nonfinite_failures,
 )
-from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
+from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, Solver
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, Policy, check_policy
@@ -76,12 +75,12 @@ class FiniteDifference:
         Needs 8 n_psi + 1 solves.
         """
         s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
-        observed, loss = demonstrated_observations(problem, demonstration), self.loss(problem)
+        data, loss = data_of(self.loss, problem, demonstration), self.loss(problem)
         solutions: list[Solution] = []
 
         def evaluate(at: Array) -> float:
             solutions.append(self.solver.solve(problem, s0, at, context, guess))
-            return float(loss(solutions[-1].states.T, solutions[-1].actions.T, observed))
+            return float(loss(solutions[-1].states.T, solutions[-1].actions.T, data))
 
         value = evaluate(psi)
         rows = [_derivative(evaluate, value, psi, i, self.step * max(1.0, abs(psi[i]))) for i in range(len(psi))]

@@ -22,11 +22,10 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import (
     HypergradientResult,
-    demonstrated_observations,
     enforce,
     nonfinite_failures,
 )
-from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
+from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
 from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
@@ -83,9 +82,8 @@ def differentiate(
     derivatives: at the solution, where the solver ended with them.
     """
     evaluate = call(problem, _loss_and_slopes(loss))
-    (value,), by_states, by_actions = evaluate(
-        solution.states, solution.actions, demonstrated_observations(problem, demonstration).T
-    )
+    data = data_of(loss, problem, demonstration)
+    (value,), by_states, by_actions = evaluate(solution.states, solution.actions, data.T)
     at = sensitivity(problem, solution, "flag", derivatives)
     found = at.pull(by_states.reshape(solution.states.shape), by_actions.reshape(solution.actions.shape))
     failures = (*nonfinite_failures(float(value), found.psi), *found.certificate.failures)
@@ -94,14 +92,13 @@ def differentiate(
 
 @lru_cache(maxsize=64)
 def _loss_and_slopes(loss: Loss) -> Callable[[OCP], ca.Function]:
-    """problem -> (S (n_s, T+1), U (n_u, T), Z (n_z, T+1)) -> L, dL/dS (n_s, T+1), dL/dU (n_u, T)."""
+    """problem -> (S (n_s, T+1), U (n_u, T), data (n_data, T+1)) -> L, dL/dS (n_s, T+1), dL/dU (n_u, T)."""
 
     def build(problem: OCP) -> ca.Function:
-        states = ca.MX.sym("S", problem.n_states, problem.horizon + 1)
-        actions = ca.MX.sym("U", problem.n_actions, problem.horizon)
-        observed = ca.MX.sym("Z", problem.n_observations, problem.horizon + 1)
-        value = loss(problem)(states, actions, observed)
+        function = loss(problem)
+        states, actions, data = (ca.MX.sym("x", *function.size_in(i)) for i in range(3))
+        value = function(states, actions, data)
         outputs = [value, ca.gradient(value, states), ca.gradient(value, actions)]
-        return ca.Function("loss_and_slopes", [states, actions, observed], [ca.densify(x) for x in outputs])
+        return ca.Function("loss_and_slopes", [states, actions, data], [ca.densify(x) for x in outputs])
 
     return build

@@ -21,11 +21,10 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import (
     HypergradientResult,
-    demonstrated_observations,
     enforce,
     nonfinite_failures,
 )
-from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
+from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_function
@@ -81,15 +80,22 @@ class Unrolled:
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
         """Loss, gradient (n_psi,) and certificate at psi (n_psi,); arguments and errors as in `Hypergradient`."""
-        return self.batch(problem, [demonstration], psi, guess)[0]
+        return self.batch(problem, [demonstration], psi, [guess])[0]
 
     def batch(
-        self, problem: OCP, demonstrations: Sequence[Demonstration], psi: ArrayLike, guess: Guess = None
+        self,
+        problem: OCP,
+        demonstrations: Sequence[Demonstration],
+        psi: ArrayLike,
+        guesses: Sequence[Guess] | None = None,
     ) -> list[HypergradientResult]:
-        """One result per demonstration, from matrix products where a single demonstration has matrix times vector."""
+        """One result per demonstration, from matrix products where a single demonstration has matrix times vector.
+
+        guesses: to start from, one per demonstration; None starts all from actions zero.
+        """
         steps = self.solver.steps
         results = unrolled_gradients(
-            problem, self.solver, self.loss, steps, demonstrations, psi, guess, self.checkpoint
+            problem, self.solver, self.loss, steps, demonstrations, psi, guesses, self.checkpoint
         )
         return [enforce(self.policy, result) for result in results]
 
@@ -116,7 +122,7 @@ class Truncated:
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
         """Loss, gradient (n_psi,) and certificate at psi (n_psi,); arguments and errors as in `Hypergradient`."""
-        results = unrolled_gradients(problem, self.solver, self.loss, self.last, [demonstration], psi, guess)
+        results = unrolled_gradients(problem, self.solver, self.loss, self.last, [demonstration], psi, [guess])
         return enforce(self.policy, results[0])
 
 
@@ -134,15 +140,15 @@ def unrolled_gradients(
     last: int,
     demonstrations: Sequence[Demonstration],
     psi: ArrayLike,
-    guess: Guess = None,
+    guesses: Sequence[Guess] | None = None,
     checkpoint: bool = False,
 ) -> list[HypergradientResult]:
     """Descend N steps, then accumulate the gradient back through the last ones; demonstrations side by side."""
     check_constraints(problem, solver.project)
     inputs = [problem.inputs(demonstration.s0, psi, demonstration.context) for demonstration in demonstrations]
     starts, psis, contexts = (np.concatenate(parts) for parts in zip(*inputs, strict=True))
-    actions = np.tile(guess_actions(problem, guess), (len(inputs), 1))
-    observed = np.concatenate([demonstrated_observations(problem, demonstration).T for demonstration in demonstrations])
+    actions = np.concatenate([guess_actions(problem, guess) for guess in guesses or [None] * len(inputs)])
+    observed = np.concatenate([data_of(loss, problem, demonstration).T for demonstration in demonstrations])
     evaluate = call_function(_function(problem, solver, loss, last, checkpoint, len(inputs)))
     (outputs,) = evaluate(actions, starts, psis, contexts, observed)
     rows = zip(inputs, outputs.reshape(len(inputs), -1), strict=True)

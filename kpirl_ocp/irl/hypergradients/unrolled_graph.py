@@ -37,7 +37,7 @@ def unrolled_function(
     demonstration.
     """
     reduced, (u, s0, psi, context) = ReducedCost(problem, columns), reduced_symbols(problem, columns)
-    observed = ca.MX.sym("Z", problem.n_observations, columns * (problem.horizon + 1))
+    observed = ca.MX.sym("Z", loss(problem).size1_in(2), columns * (problem.horizon + 1))
     theta = reduced.cost.coefficients(psi, context)
     constants, step = (s0, psi, *theta), gradient_step(problem, solver, columns)
     back = _step_back(problem, solver, step, columns)

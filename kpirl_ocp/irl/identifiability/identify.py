@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.certificate import Hypergradient, demonstrated_observations
+from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
+from kpirl_ocp.irl.hypergradients.loss import demonstrated_observations
 from kpirl_ocp.irl.identifiability.plan_jacobian import CONVERGED, plan_jacobian
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Demonstration, Mask

@@ -2,13 +2,16 @@
 
 from kpirl_ocp.irl.learning.apprenticeship import ApprenticeshipResult, apprenticeship
 from kpirl_ocp.irl.learning.evaluation import Evaluation, evaluate, relative_distance
-from kpirl_ocp.irl.learning.learn import Learner, LearningResult, LearningState, learn
-from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Descent, Optimiser, Point
+from kpirl_ocp.irl.learning.horizons import Problems
+from kpirl_ocp.irl.learning.learn import Learner, LearningState, learn
+from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Box, Descent, Optimiser, Point
+from kpirl_ocp.irl.learning.result import LearningResult
 
 __all__ = [
     "LBFGS",
     "Adam",
     "ApprenticeshipResult",
+    "Box",
     "Descent",
     "Evaluation",
     "Learner",
@@ -16,6 +19,7 @@ __all__ = [
     "LearningState",
     "Optimiser",
     "Point",
+    "Problems",
     "apprenticeship",
     "evaluate",
     "learn",

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.irl.hypergradients.certificate import demonstrated_observations
-from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
-from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
+from kpirl_ocp.irl.learning.horizons import Problems, problems_of
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.types import Array, Demonstration, Mask, Solution
 
@@ -25,24 +24,23 @@ class Evaluation:
 
 
 def evaluate(
-    problem: OCP,
+    problem: Problems,
     solver: Solver,
     psi: ArrayLike,
     demonstrations: Sequence[Demonstration],
     loss: Loss = squared_distance,
 ) -> Evaluation:
-    """Plan from the start of every demonstration with the cost psi (n_psi,), and compare.
+    """Plan from the start of every demonstration with the cost psi (n_psi,), and compare; problems as in `learn`.
 
     Raises:
         ProblemError: the observations of a demonstration do not fit the problem.
     """
-    solutions = tuple(solver.solve(problem, demo.s0, psi, demo.context) for demo in demonstrations)
-    measure = loss(problem)
-    pairs = list(zip(solutions, demonstrations, strict=True))
-    losses = [
-        float(measure(plan.states.T, plan.actions.T, demonstrated_observations(problem, demo))) for plan, demo in pairs
-    ]
-    distances = [relative_distance(np.array(problem.observe(plan.states.T)).T, demo) for plan, demo in pairs]
+    rows = list(zip(problems_of(problem, demonstrations), demonstrations, strict=True))
+    solutions = tuple(solver.solve(own, demo.s0, psi, demo.context) for own, demo in rows)
+    losses, distances = [], []
+    for (own, demo), plan in zip(rows, solutions, strict=True):
+        losses.append(float(loss(own)(plan.states.T, plan.actions.T, data_of(loss, own, demo))))
+        distances.append(relative_distance(np.array(own.observe(plan.states.T)).T, demo))
     return Evaluation(solutions, np.array(losses), np.array(distances))
 
 

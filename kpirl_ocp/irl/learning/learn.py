@@ -2,14 +2,17 @@
 
     psi <- optimiser step on the mean over demonstrations of L_IRL(tau(psi), tau_demo)
 
-The mean, not the sum, so that a learning rate means the same for one demonstration and for ten.
+The mean, not the sum, so that a learning rate means the same for one demonstration and for ten. The optimiser moves
+psi / scale, within bounds.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,11 +20,16 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
+from kpirl_ocp.irl.hypergradients.certificate import Hypergradient, HypergradientResult
 from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
-from kpirl_ocp.irl.learning.optimisers import Adam, Optimiser, Point
+from kpirl_ocp.irl.learning.checkpoint import Checkpoint, Saved, fingerprint
+from kpirl_ocp.irl.learning.horizons import Problems, problems_of
+from kpirl_ocp.irl.learning.optimisers import Adam, Box, Optimiser, Point
+from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.pictures import Panel, card, draw, svg
+from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED, Bounds, bounds_of, numbers
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.types import Array, Demonstration
 
 
@@ -36,118 +44,170 @@ class LearningState:
 
 @dataclass(frozen=True)
 class Learner:
-    """One outer iteration at a time: `init(psi0) -> state`, `step(state) -> state`; no hidden state."""
+    """One outer iteration at a time: `init(psi0) -> state`, `step(state) -> state`; arguments as in `learn`."""
 
-    problem: OCP
+    problem: Problems
     demonstrations: Sequence[Demonstration]
     hypergradient: Hypergradient
     optimiser: Optimiser
+    guesses: Sequence[Guess] | None = None
+    warm_start: bool = True
+    scale: ArrayLike = 1.0
+    bounds: Bounds = UNBOUNDED
 
     def __post_init__(self) -> None:
         if not self.demonstrations:
             raise ProblemError("learning needs at least one demonstration.")
+        if self.guesses is not None and len(self.guesses) != len(self.demonstrations):
+            raise ProblemError(f"there must be {len(self.demonstrations)} guesses, one per demonstration.")
 
-    def evaluate(self, psi: Array) -> Point:
-        """Mean loss and gradient over the demonstrations."""
-        if isinstance(self.hypergradient, Unrolled):
-            results = self.hypergradient.batch(self.problem, self.demonstrations, psi)
-        else:
-            results = [self.hypergradient(self.problem, demonstration, psi) for demonstration in self.demonstrations]
+    def evaluate(self, psi: Array, near: Point | None = None) -> Point:
+        """Mean loss and gradient over the demonstrations; solves start from the plans of a point nearby."""
+        results = self._results(psi, self._starts(near))
         return Point(
             psi=psi,
             loss=float(np.mean([result.loss for result in results])),
             gradient=np.mean([result.gradient for result in results], axis=0),
             uncertified=sum(not result.certificate.certified for result in results),
+            solutions=tuple(result.certificate.solution for result in results),
         )
 
     def init(self, psi0: ArrayLike) -> LearningState:
         """Evaluate psi0 (n_psi,)."""
-        point = self.evaluate(np.array(psi0, float))
-        return LearningState(point, self.optimiser.start(point), point)
+        psi = np.array(numbers("psi0", psi0)).reshape(-1)
+        if not np.array_equal(self._box.project(psi), psi):
+            raise ProblemError("psi0 must lie within the bounds.")
+        point = self.evaluate(psi)
+        return LearningState(point, self.optimiser.start(self._scaled(point)), point)
 
     def step(self, state: LearningState) -> LearningState:
         """Move psi once."""
-        point, memory = self.optimiser.step(self.evaluate, state.point, state.memory)
+        scale, before = self._scale, self._scaled(state.point)
+        evaluated: dict[int, Point] = {}
+
+        def evaluate(x: Array) -> Point:
+            point = self.evaluate(self._box.project(x * scale), state.point)
+            scaled = self._scaled(point)
+            evaluated[id(scaled)] = point
+            return scaled
+
+        box = Box(self._box.lower / scale, self._box.upper / scale)
+        after, memory = self.optimiser.step(evaluate, before, state.memory, box)
+        point = state.point if after is before else evaluated[id(after)]
         return LearningState(point, memory, min(state.best, point, key=lambda p: p.loss))
 
+    def fingerprint(self, psi0: ArrayLike) -> str:
+        """A hash of the demonstrations and settings, by which a checkpoint of the same learning is known."""
+        seen = [vars(demonstration) for demonstration in self.demonstrations]
+        parts = [part for values in seen for part in values.values()] + [psi0, self.scale, *self.bounds]
+        arrays = [np.asarray(part) for part in parts if part is not None]
+        return fingerprint(*arrays, self.hypergradient, self.optimiser, self.warm_start)
 
-@dataclass(frozen=True, repr=False)
-class LearningResult:
-    """The learned psi and the history of learning.
+    @cached_property
+    def problems(self) -> tuple[OCP, ...]:
+        """The problem of every demonstration."""
+        return problems_of(self.problem, self.demonstrations)
 
-    psi: (n_psi,) with the lowest training loss. loss: that loss.
-    losses: (n+1,) training loss after 0 .. n steps. psis: (n+1, n_psi).
-    seconds: (n+1,) wall time since the start. uncertified: (n+1,) gradients used that were only flagged.
-    """
+    @cached_property
+    def _scale(self) -> Array:
+        (scale, _) = bounds_of("scale", (self.scale, np.inf), (self.problems[0].n_parameters,))
+        if not (np.isfinite(scale) & (scale > 0)).all():
+            raise ProblemError(f"scale must be positive numbers, got {self.scale!r}.")
+        return scale
 
-    psi: Array
-    loss: float
-    losses: Array
-    psis: Array
-    seconds: Array
-    uncertified: Array
+    @cached_property
+    def _box(self) -> Box:
+        return Box(*bounds_of("bounds", self.bounds, (self.problems[0].n_parameters,)))
 
-    def panels(self) -> tuple[Panel, Panel]:
-        """Training loss and parameters over the outer iterations, to be drawn."""
-        loss = Panel("training loss", self.losses, xlabel="outer iteration", log=bool((self.losses > 0).all()))
-        names = [f"psi[{i}]" for i in range(self.psis.shape[1])]
-        return loss, Panel("parameters", self.psis, names, xlabel="outer iteration")
+    def _scaled(self, point: Point) -> Point:
+        """The same point in psi / scale."""
+        return point._replace(psi=point.psi / self._scale, gradient=point.gradient * self._scale)
 
-    def _repr_html_(self) -> str:
-        uncertified = f"{int((self.uncertified > 0).sum())} of {len(self.losses)}"
-        facts = {"time": f"{self.seconds[-1]:.1f} s", "iterations without certified gradients": uncertified}
-        return card(str(self), facts, svg(draw(self.panels())))
+    def _starts(self, near: Point | None) -> Sequence[Guess]:
+        """Starts of the solves. Those of gradient steps are part of the method, and stay what they are."""
+        given = self.guesses or [None] * len(self.demonstrations)
+        steps = isinstance(getattr(self.hypergradient, "solver", None), GradientDescent)
+        if near is None or steps or not self.warm_start:
+            return given
+        return [plan if plan.status.ok else guess for plan, guess in zip(near.solutions, given, strict=True)]
 
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {self}>"
-
-    def __str__(self) -> str:
-        return f"loss {self.losses[0]:.4g} -> {self.loss:.4g} in {len(self.losses) - 1} outer iterations"
+    def _results(self, psi: Array, starts: Sequence[Guess]) -> list[HypergradientResult]:
+        rows = list(zip(self.problems, self.demonstrations, starts, strict=True))
+        if not isinstance(self.hypergradient, Unrolled):
+            return [self.hypergradient(problem, demo, psi, start) for problem, demo, start in rows]
+        found: dict[int, HypergradientResult] = {}
+        for problem in dict.fromkeys(self.problems):  # side by side where the horizon is the same
+            at = [i for i, (own, *_) in enumerate(rows) if own is problem]
+            demonstrations, guesses = [rows[i][1] for i in at], [rows[i][2] for i in at]
+            found |= zip(at, self.hypergradient.batch(problem, demonstrations, psi, guesses), strict=True)
+        return [found[i] for i in range(len(rows))]
 
 
 def learn(
-    problem: OCP,
+    problem: Problems,
     demonstrations: Sequence[Demonstration],
     psi0: ArrayLike,
     hypergradient: Hypergradient,
     optimiser: Optimiser | None = None,
     steps: int = 100,
     progress: bool = True,
+    *,
+    guesses: Sequence[Guess] | None = None,
+    warm_start: bool = True,
+    scale: ArrayLike = 1.0,
+    bounds: Bounds = UNBOUNDED,
+    checkpoint: str | Path | None = None,
+    callback: Callable[[LearningState], object] | None = None,
 ) -> LearningResult:
-    """Learn psi from demonstrations.
+    """Learn psi from demonstrations, starting at psi0 (n_psi,), by default with Adam at the paper's learning rate.
 
-    Ends after `steps`, or sooner when the optimiser makes no progress.
+    Ends after `steps`, or sooner when the optimiser stays where it is. Ctrl-C ends it too: the best psi so far is
+    returned, and the result says that it was interrupted.
 
     Args:
-        psi0: (n_psi,) start.
-        hypergradient: `Implicit()`, `Unrolled(...)`, ...; it holds the inner solver and the loss.
-        optimiser: by default Adam at the paper's learning rate.
-        steps: outer iterations, at most.
-
-    Returns:
-        The psi (n_psi,) with the lowest training loss, the mean over the demonstrations, and the history.
+        problem: one problem, or a function T -> problem for demonstrations of different lengths.
+        guesses: to start the first solves from, one per demonstration.
+        warm_start: start later solves from the plans for the last psi, so that they stay in the same local minimum;
+            not those of `GradientDescent`, whose start is a part of the method.
+        scale: a number or (n_psi,), the size of psi: the optimiser moves psi / scale.
+        bounds: (lower, upper) of psi, each a number or (n_psi,).
+        checkpoint: file that learning is saved to, about every second and at the end. If it exists, learning goes on
+            from there, up to `steps` in total, with the same numbers as if it had not been interrupted.
+        callback: called with the state after every step; a true answer ends learning.
 
     Raises:
-        ProblemError: there is no demonstration, or one does not fit the problem.
         CertificateError: a gradient was not certified and the hypergradient's policy is "raise".
+        FileError: the checkpoint is damaged, or of another learning.
+        ProblemError: arguments that do not fit.
     """
-    learner = Learner(problem, tuple(demonstrations), hypergradient, optimiser or Adam())
-    started = time.perf_counter()
-    state = learner.init(psi0)
-    history = [(state.point, time.perf_counter() - started)]
-    with tqdm(range(steps), desc="learning", disable=not progress, unit="step") as bar:
-        for _ in bar:
-            previous, state = state, learner.step(state)
-            if state.point is previous.point:  # the optimiser has nothing left to gain
-                break
-            history.append((state.point, time.perf_counter() - started))
-            bar.set_postfix(loss=f"{state.point.loss:.4g}", best=f"{state.best.loss:.4g}", refresh=False)
-    points = [point for point, _ in history]
-    return LearningResult(
-        psi=state.best.psi,
-        loss=state.best.loss,
-        losses=np.array([point.loss for point in points]),
-        psis=np.array([point.psi for point in points]),
-        seconds=np.array([seconds for _, seconds in history]),
-        uncertified=np.array([point.uncertified for point in points]),
+    learner = Learner(
+        problem, tuple(demonstrations), hypergradient, optimiser or Adam(), guesses, warm_start, scale, bounds
     )
+    file = Checkpoint(checkpoint, learner.fingerprint(psi0))
+    saved = file.load()
+    state, history = (LearningState(*saved[:3]), saved.history) if saved else (None, [])
+    begun = time.perf_counter() - (history[-1][1] if history else 0.0)
+    interrupted = False
+
+    def note(state: LearningState) -> None:
+        history.append((state.point._replace(solutions=()), time.perf_counter() - begun))
+
+    try:
+        if state is None:
+            note(state := learner.init(psi0))
+        with tqdm(range(len(history) - 1, steps), desc="learning", disable=not progress, unit="step") as bar:
+            for _ in bar:
+                previous, state = state, learner.step(state)
+                if state.point is previous.point:  # the optimiser has nothing left to gain
+                    break
+                note(state)
+                bar.set_postfix(loss=f"{state.point.loss:.4g}", best=f"{state.best.loss:.4g}", refresh=False)
+                file.save(Saved(state.point, state.memory, state.best, history))
+                if callback is not None and callback(state):
+                    break
+    except KeyboardInterrupt:
+        if state is None:
+            raise
+        interrupted = True
+    file.save(Saved(state.point, state.memory, state.best, history), now=True)
+    return LearningResult.of(state.best, history, interrupted)

@@ -13,19 +13,42 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from kpirl_ocp.errors import CertificateError
-from kpirl_ocp.types import Array
+from kpirl_ocp.types import Array, Mask, Solution
 
 
 class Point(NamedTuple):
-    """psi (n_psi,) with its loss and gradient (n_psi,); uncertified counts the gradients that were only flagged."""
+    """psi (n_psi,) with its loss and gradient (n_psi,).
+
+    uncertified: number of gradients that were only flagged. solutions: the plans, one per demonstration.
+    """
 
     psi: Array
     loss: float
     gradient: Array
     uncertified: int = 0
+    solutions: tuple[Solution, ...] = ()
 
 
 Evaluate = Callable[[Array], Point]
+
+
+class Box(NamedTuple):
+    """Bounds on psi: lower, upper (n_psi,), or numbers."""
+
+    lower: Array | float = -np.inf
+    upper: Array | float = np.inf
+
+    def project(self, psi: Array) -> Array:
+        """The nearest psi within the bounds."""
+        return np.clip(psi, self.lower, self.upper)
+
+    def free(self, point: Point) -> Mask:
+        """(n_psi,) True for entries that descent does not push against a bound that they are at."""
+        below, above = point.psi <= self.lower, point.psi >= self.upper
+        return ~((below & (point.gradient > 0)) | (above & (point.gradient < 0)))
+
+
+EVERYWHERE = Box()
 
 
 class Optimiser(Protocol):
@@ -35,8 +58,8 @@ class Optimiser(Protocol):
         """Memory before the first step."""
         ...
 
-    def step(self, evaluate: Evaluate, point: Point, memory: Any) -> tuple[Point, Any]:
-        """The next point and memory."""
+    def step(self, evaluate: Evaluate, point: Point, memory: Any, box: Box = EVERYWHERE) -> tuple[Point, Any]:
+        """The next point, within the box, and memory."""
         ...
 
 
@@ -49,9 +72,9 @@ class Descent:
     def start(self, point: Point) -> None:
         """Nothing to remember."""
 
-    def step(self, evaluate: Evaluate, point: Point, memory: None) -> tuple[Point, None]:
-        """One gradient step."""
-        return evaluate(point.psi - self.learning_rate * point.gradient), None
+    def step(self, evaluate: Evaluate, point: Point, memory: None, box: Box = EVERYWHERE) -> tuple[Point, None]:
+        """One gradient step, projected."""
+        return evaluate(box.project(point.psi - self.learning_rate * point.gradient)), None
 
 
 @dataclass(frozen=True)
@@ -68,16 +91,16 @@ class Adam:
         return 0, np.zeros_like(point.psi), np.zeros_like(point.psi)
 
     def step(
-        self, evaluate: Evaluate, point: Point, memory: tuple[int, Array, Array]
+        self, evaluate: Evaluate, point: Point, memory: tuple[int, Array, Array], box: Box = EVERYWHERE
     ) -> tuple[Point, tuple[int, Array, Array]]:
-        """One step along the normalised, bias-corrected mean gradient."""
+        """One step along the normalised, bias-corrected mean gradient, projected."""
         count, first, second = memory
         count += 1
         first = self.beta1 * first + (1 - self.beta1) * point.gradient
         second = self.beta2 * second + (1 - self.beta2) * point.gradient**2
         mean, spread = first / (1 - self.beta1**count), np.sqrt(second / (1 - self.beta2**count))
         psi = point.psi - self.learning_rate * mean / (spread + self.epsilon)
-        return evaluate(psi), (count, first, second)
+        return evaluate(box.project(psi)), (count, first, second)
 
 
 @dataclass(frozen=True)
@@ -98,26 +121,28 @@ class LBFGS:
         return ()
 
     def step(
-        self, evaluate: Evaluate, point: Point, memory: tuple[tuple[Array, Array], ...]
+        self, evaluate: Evaluate, point: Point, memory: tuple[tuple[Array, Array], ...], box: Box = EVERYWHERE
     ) -> tuple[Point, tuple[tuple[Array, Array], ...]]:
         """One quasi-Newton step, or the same point when no step gains the relative `tolerance` any more.
 
+        Entries that are pushed against their bounds stay there; the others follow the projected path (Bertsekas, 1982).
         A trial point whose gradient cannot be certified counts as too far away.
         """
-        direction = -self._two_loops(point.gradient, memory)
+        free = box.free(point)
+        direction = np.where(free, -self._two_loops(np.where(free, point.gradient, 0.0), _on(free, memory)), 0.0)
         if not memory:
             direction *= self.first_step / max(float(np.linalg.norm(direction)), np.finfo(float).tiny)
-        slope = float(point.gradient @ direction)
         for halvings in range(30):
+            psi = box.project(point.psi + 0.5**halvings * direction)
             try:
-                new = evaluate(point.psi + 0.5**halvings * direction)
+                new = evaluate(psi)
             except CertificateError:
                 continue
-            if new.loss <= point.loss + 1e-4 * 0.5**halvings * slope:  # Armijo
+            if new.loss <= point.loss + 1e-4 * float(point.gradient @ (psi - point.psi)):  # Armijo
                 if point.loss - new.loss > self.tolerance * abs(point.loss):
                     return new, self._remember(point, new, memory)
                 break
-        return self.step(evaluate, point, ()) if memory else (point, ())  # once more, along steepest descent
+        return self.step(evaluate, point, (), box) if memory else (point, ())  # once more, along steepest descent
 
     def _two_loops(self, gradient: Array, pairs: tuple[tuple[Array, Array], ...]) -> Array:
         """Inverse Hessian estimate times gradient."""
@@ -139,3 +164,11 @@ class LBFGS:
         if s @ y <= 1e-10 * np.linalg.norm(s) * np.linalg.norm(y):  # no positive curvature: the pair would spoil it
             return pairs
         return (*pairs, (s, y))[-self.memory :]
+
+
+def _on(free: Mask, pairs: tuple[tuple[Array, Array], ...]) -> tuple[tuple[Array, Array], ...]:
+    """The pairs on the free entries alone, where these still have positive curvature."""
+    if free.all():
+        return pairs
+    kept = ((np.where(free, s, 0.0), np.where(free, y, 0.0)) for s, y in pairs)
+    return tuple((s, y) for s, y in kept if s @ y > 0)
