@@ -20,7 +20,7 @@ LAYERS = {
     "ocp": {"base", "ocp"},
     "irl": {"base", "ocp", "irl"},
     "bridges": {"base", "ocp", "irl", "bridges"},
-    "viewing": {"base", "ocp", "irl", "viewing"},
+    "viewing": {"base", "ocp", "irl", "perception", "viewing"},
     "perception": {"base", "perception"},
     "cli": {"base", "ocp", "irl", "bridges", "perception", "cli"},
 }
