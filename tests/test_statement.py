@@ -1,13 +1,17 @@
 """Whatever can be stated, against an independent statement of the same problem in CasADi's Opti."""
 
 import pickle
+from dataclasses import replace
 from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 import pytest
-from statements import CASES, optimum
+from problems import TABLE
+from statements import CASES, GRID, TWO, D, S, T, U, optimum, state
 
-from kpirl_ocp import SQP, Fatrop, Ipopt, Riccati, Status
+from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Riccati, Soft, Status
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
 
 case_of = lru_cache(lambda name: CASES[name]())
@@ -47,3 +51,92 @@ def test_a_solution_is_a_guess_from_which_nothing_moves(name):
     np.testing.assert_allclose(again.states, found.states, rtol=0, atol=1e-8)
     psi, context = problem.inputs(*arguments, *[()] * (3 - len(arguments)))[1:]
     assert audit(problem, psi, context, found.trajectory, found.multipliers).worst <= 1e-10
+
+
+# Rules of a statement that the table does not show
+
+
+def test_with_a_price_above_the_multiplier_a_soft_constraint_is_the_hard_one():
+    hard = Ipopt().solve(state(path_constraint=S[0] - 0.5), [0.0, 0.0])
+    price = 1.1 * max(hard.multipliers.path.max(), hard.multipliers.terminal.max())
+    problem = state(soft=Soft(S[0] - 0.5, linear=price))
+    found = Ipopt().solve(problem, [0.0, 0.0])
+    np.testing.assert_allclose(problem.stated(found).states, hard.states, rtol=0, atol=1e-8)
+    cheap = state(soft=Soft(S[0] - 0.5, linear=0.1 * price))
+    assert cheap.stated(Ipopt().solve(cheap, [0.0, 0.0])).states[:, 0].max() > 0.55
+
+
+def test_bounds_are_the_same_as_numbers_and_as_expressions():
+    numbers = state(action_bounds=(-0.5, 0.7), state_bounds=(-1.0, [0.5, 0.3]))
+    expressions = state(parameters=TWO, action_bounds=(-0.5, TWO[0]), state_bounds=(-1.0, ca.vertcat(0.5, TWO[1])))
+    one, other = Ipopt().solve(numbers, [0.0, 0.35]), Ipopt().solve(expressions, [0.0, 0.35], [0.7, 0.3])
+    assert one.status is other.status is Status.CONVERGED  # s_0 is beyond its bound either way
+    np.testing.assert_allclose(one.states, other.states, rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(np.array(expressions.state_bounds)[1, 1:, 0], 0.5)  # a number stays a bound
+    assert (numbers.n_path, expressions.n_path) == (0, 2)
+
+
+def test_rows_that_do_not_depend_on_the_action_hold_at_the_end():
+    problem = state(
+        path_constraint=ca.vertcat(U - 1, S[0] - 1, S[1] + U, S[1] - 2), terminal_constraint=S[0] - S[1] - 3
+    )
+    np.testing.assert_array_equal(problem.state_rows, [1, 3])
+    values = problem.terminal_inequality([0.3, 0.7], [], [], [])
+    np.testing.assert_allclose(np.array(values).ravel(), [0.3 - 1, 0.7 - 2, 0.3 - 0.7 - 3])
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_rows_that_zeros_of_the_schedule_switch_off_are_not_live(kind):
+    s, u, d = kind.sym("s"), kind.sym("u"), kind.sym("d", 2)
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        stage=d,
+        dynamics=s + u,
+        path_constraint=ca.vertcat(d[0] * (s - 1), (1 - d[1]) * u, s - d[1], d[0] * s + u),
+        path_equality=d[0] * d[1] * u,
+        schedule=[[0, 0], [2, 1], [0, 1], [3, 0.5]],
+        horizon=3,
+    )
+    np.testing.assert_array_equal(problem.live.path, [[0, 1, 1, 1], [1, 0, 1, 1], [0, 0, 1, 1]])
+    np.testing.assert_array_equal(problem.live.path_equality, [[0], [1], [0]])
+    np.testing.assert_array_equal(problem.live.terminal, [1, 1])  # the rows 0 and 2, with the last row of the schedule
+
+
+def test_a_row_that_is_switched_off_has_no_multiplier_and_leaves_an_interior():
+    late = np.arange(T + 1)[:, None] >= 6
+    switched = state(stage=D, path_constraint=D * (S[0] - 0.4), schedule=late)
+    found = Ipopt().solve(switched, [0.0, 0.0])
+    assert found.status is Status.CONVERGED
+    np.testing.assert_array_equal(found.multipliers.path[:6], 0)
+    bounds = np.where(late, [0.4, np.inf], np.inf)
+    expected = Ipopt().solve(state(state_bounds=(-np.inf, bounds)), [0.0, 0.0])
+    np.testing.assert_allclose(found.states, expected.states, rtol=0, atol=1e-8)
+
+
+def test_bounds_survive_another_horizon_where_they_are_the_same_at_every_stage():
+    problem = state(action_bounds=(-1, 2), state_bounds=(-3, [4, 5]))
+    longer = replace(problem, horizon=20)
+    np.testing.assert_array_equal(longer.action_bounds[1], np.full((20, 1), 2.0))
+    np.testing.assert_array_equal(longer.state_bounds[1], np.tile([4.0, 5.0], (21, 1)))
+
+
+def test_dynamics_that_see_the_context_are_simulated_with_it():
+    problem = case_of("context and schedule in the dynamics").problem
+    actions, expected = np.linspace(1, 2, T)[:, None], [np.zeros(2)]
+    for t in range(T):
+        speed = expected[-1][1] + GRID[t, 0] * (actions[t, 0] / 1.7 - np.sin(expected[-1][0]))
+        expected.append(np.array([expected[-1][0] + GRID[t, 0] * speed, speed]))
+    found = problem.simulate([0.0, 0.0], actions, context=[1.7])
+    np.testing.assert_allclose(found.states, expected, rtol=0, atol=1e-14)
+    with pytest.raises(ProblemError, match="context must have length 1, got 0"):
+        problem.simulate([0.0, 0.0], actions)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_the_problems_of_the_other_tests_are_pickled_before_and_after_use(name):
+    case = TABLE[name]()
+    arguments = case.demonstration.s0, case.psi, case.demonstration.context
+    found = Riccati().solve(case.problem, *arguments)
+    copy = pickle.loads(pickle.dumps(case.problem))
+    np.testing.assert_array_equal(Riccati().solve(copy, *arguments).actions, found.actions)

@@ -55,7 +55,9 @@ def matrix(name: str, axes: str, value: ArrayLike, *shapes: tuple[int, int]) -> 
 
 def schedule_of(value: ArrayLike | None, horizon: int) -> Array:
     """The numbers d_t (T+1, n_d) of all stages; (T+1, 0) for none. Raises ProblemError for another shape, or NaN."""
-    schedule = np.zeros((horizon + 1, 0)) if value is None else numbers("schedule", value)
+    schedule = numbers("schedule", np.zeros((horizon + 1, 0)) if value is None else value)
+    if schedule.ndim == 2 and not schedule.shape[1]:  # of another horizon
+        schedule = np.zeros((horizon + 1, 0))
     if schedule.ndim != 2 or len(schedule) != horizon + 1 or not np.isfinite(schedule).all():
         raise ProblemError(f"schedule must be finite and (T+1, n_d) = ({horizon + 1}, n_d), got {schedule.shape}.")
     return schedule

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -57,60 +58,56 @@ def discretise(
         raise ProblemError(f"method {method!r} knows no algebraic variables: use 'collocation', 'midpoint' or 'idas'.")
     if method != "rk4" and not isinstance(state, ca.MX):
         raise ProblemError(f"method {method!r} needs casadi.MX symbols.")
-    parts = [ode, step] if residual is None else [ode, step, residual]
-    others = _others(parts, [state] if algebraic is None else [state, algebraic])
-    if method == "rk4":
-        return _rk4(ode, state, step, others, intervals)
-    return _implicit(ode, state, step, others, algebraic, residual, method, intervals, degree)
+    equations = _Equations(ode, residual, state, algebraic, step)
+    return equations.rk4(intervals) if method == "rk4" else equations.integrated(method, intervals, degree)
 
 
-def _others(expressions: list[Any], known: list[Expression]) -> list[Expression]:
-    """The symbols in expressions that are not known."""
-    kind = type(known[0])
-    hidden = {identity(part) for symbol in known for part in ca.symvar(symbol)}
-    found = ca.symvar(ca.veccat(*map(kind, expressions)))
-    return [symbol for symbol in found if identity(symbol) not in hidden]
+@dataclass(frozen=True, eq=False)
+class _Equations:
+    """ds/dt = ode, 0 = residual in s = state and z = algebraic, and the length of a step."""
 
+    ode: Expression
+    residual: Expression | None
+    state: Expression
+    algebraic: Expression | None
+    step: Expression | float
 
-def _rk4(
-    ode: Expression, state: Expression, step: Expression | float, others: list[Expression], intervals: int
-) -> Expression:
-    slope = ca.Function("ode", [state, *others], [ode])
-    part, s = step / intervals, state
-    for _ in range(intervals):
-        first = slope(s, *others)
-        second = slope(s + part / 2 * first, *others)
-        third = slope(s + part / 2 * second, *others)
-        fourth = slope(s + part * third, *others)
-        s = s + part / 6 * (first + 2 * second + 2 * third + fourth)
-    return s
+    @property
+    def others(self) -> list[Expression]:
+        """All symbols but s and z."""
+        kind = type(self.state)
+        known = [symbol for symbol in (self.state, self.algebraic) if symbol is not None]
+        hidden = {identity(part) for symbol in known for part in ca.symvar(symbol)}
+        values = [value for value in (self.ode, self.step, self.residual) if value is not None]
+        return [symbol for symbol in ca.symvar(ca.veccat(*map(kind, values))) if identity(symbol) not in hidden]
 
+    def rk4(self, intervals: int) -> Expression:
+        """The classical method of Runge and Kutta."""
+        others, part, s = self.others, self.step / intervals, self.state
+        slope = ca.Function("ode", [self.state, *others], [self.ode])
+        for _ in range(intervals):
+            first = slope(s, *others)
+            second = slope(s + part / 2 * first, *others)
+            third = slope(s + part / 2 * second, *others)
+            fourth = slope(s + part * third, *others)
+            s = s + part / 6 * (first + 2 * second + 2 * third + fourth)
+        return s
 
-def _implicit(
-    ode: ca.MX,
-    state: ca.MX,
-    step: ca.MX | float,
-    others: list[ca.MX],
-    algebraic: ca.MX | None,
-    residual: ca.MX | None,
-    method: str,
-    intervals: int,
-    degree: int,
-) -> ca.MX:
-    """One step in the time tau = t / step, so that the step may be an expression."""
-    inputs = [state, *others] if algebraic is None else [state, algebraic, *others]
-    outputs = [step * ode] if residual is None else [step * ode, residual]
-    equations = ca.Function("equations", inputs, outputs)
-    p = ca.MX.sym("p", sum(symbol.numel() for symbol in others))
-    ends = np.cumsum([0, *(symbol.numel() for symbol in others)]).tolist()
-    numbers = [ca.reshape(part, *symbol.shape) for part, symbol in zip(ca.vertsplit(p, ends), others, strict=True)]
-    names = ["x"] if algebraic is None else ["x", "z"]
-    variables = [ca.MX.sym(name, symbol.numel()) for name, symbol in zip(names, inputs, strict=False)]
-    values = equations.call([*variables, *numbers])
-    dae = dict(zip(names, variables, strict=True)) | dict(zip(("ode", "alg"), values, strict=False)) | {"p": p}
-    plugin = "collocation" if method == "midpoint" else method
-    integrator = ca.integrator("step", plugin, dae, 0.0, 1.0, _options(method, intervals, degree))
-    return integrator(x0=state, p=ca.veccat(*others))["xf"]
+    def integrated(self, method: str, intervals: int, degree: int) -> ca.MX:
+        """By an integrator of CasADi over tau = t / step in [0, 1], so that the step may be an expression."""
+        others, p = self.others, ca.veccat(*self.others)
+        unknowns = {"x": self.state} if self.algebraic is None else {"x": self.state, "z": self.algebraic}
+        values = {"ode": self.step * self.ode} | ({} if self.residual is None else {"alg": self.residual})
+        equations = ca.Function("equations", [*unknowns.values(), *others], list(values.values()))
+        symbols = {name: ca.MX.sym(name, symbol.numel()) for name, symbol in (unknowns | {"p": p}).items()}
+        ends = np.cumsum([0, *(symbol.numel() for symbol in others)]).tolist()
+        split = zip(ca.vertsplit(symbols["p"], ends), others, strict=True)
+        numbers = [ca.reshape(part, *symbol.shape) for part, symbol in split]
+        written = equations.call([*(symbols[name] for name in unknowns), *numbers])
+        dae = symbols | dict(zip(values, written, strict=True))
+        plugin = "collocation" if method == "midpoint" else method
+        integrator = ca.integrator("step", plugin, dae, 0.0, 1.0, _options(method, intervals, degree))
+        return integrator(x0=self.state, p=p)["xf"]
 
 
 def _options(method: str, intervals: int, degree: int) -> dict[str, Any]:
