@@ -8,6 +8,7 @@ from kpirl_ocp.irl.hypergradients import KeyFrames
 
 
 def mass(horizon: int) -> OCP:
+    """A mass pulled to a goal; psi = (weight of the distance, weight of the force)."""
     s, u, psi, goal = ca.SX.sym("s", 2), ca.SX.sym("u"), ca.SX.sym("psi", 2), ca.SX.sym("goal")
     away = psi[0] * (s[0] - goal) ** 2
     moved = ca.vertcat(s[0] + 0.2 * s[1], s[1] + 0.2 * u)

@@ -19,7 +19,7 @@ PRINTED = {  # closed forms, or what the data were made with
     "differential_equation.py": r"(?s)midpoint +CONVERGED.*collocation +CONVERGED.*idas +CONVERGED",
     "torch_layer.py": r"error of the actions [0-9.]+e-03, of the targets 0\.0",
     "own_network.py": r"CONVERGED; torch goes the same way but for \de-0[89]",
-    "learning.py": r"ratio of the weights 8\.000, in truth 8\.000; loss 0\.9282 -> \de-\d\d",
+    "learning.py": r"ratio of the weights 8\.000, in truth 8\.000; loss 0\.9282 -> [\d.]+e-(1[2-9]|2\d)",
     "soft.py": r"price 10\.0: highest position 0\.5000",
 }
 
