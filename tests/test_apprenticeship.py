@@ -8,7 +8,8 @@ import pytest
 from kpirl_ocp import GradientDescent
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
-from kpirl_ocp.irl.learning.apprenticeship import apprenticeship, features, max_margin
+from kpirl_ocp.irl.learning.apprenticeship import apprenticeship, features
+from kpirl_ocp.irl.learning.margins import largest_margin, max_margin, projection, two_sided
 from kpirl_ocp.ocp.models import KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp
 
 
@@ -40,6 +41,33 @@ def test_an_expert_within_the_hull_of_the_others_cannot_be_separated():
     psi, margin = max_margin(np.array([[1.0, 0.0], [-1.0, 0.5], [-1.0, -0.5]]))
     assert margin == 0.0
     assert not psi.any()
+
+
+def test_the_projection_is_the_normal_of_the_segment_for_two_plans_and_the_difference_for_one():
+    expert, plans = np.zeros(2), np.array([[2.0, 1.0], [2.0, -3.0]])
+    psi, margin = projection(plans[:1], expert)
+    np.testing.assert_allclose((*psi, margin), (2 / np.sqrt(5), 1 / np.sqrt(5), np.sqrt(5)))
+    psi, margin = projection(plans, expert)
+    np.testing.assert_allclose((*psi, margin), (1, 0, 2), atol=1e-12)
+    np.testing.assert_allclose(psi, largest_margin(plans, expert)[0], atol=1e-9)
+
+
+def test_the_two_sided_program_has_its_closed_form_and_no_answer_for_an_expert_without_features():
+    psi, margin = two_sided(np.array([[3.0, 0.0]]), np.array([0.0, 1.0]))  # the shortest is (1/3, -1)
+    np.testing.assert_allclose(psi, np.array([1, -3]) / np.sqrt(10), atol=1e-9)
+    np.testing.assert_allclose(margin, 6 / np.sqrt(10))
+    psi, margin = two_sided(np.array([[3.0, 1.0]]), np.zeros(2))
+    assert not psi.any()
+    assert margin == 0.0
+
+
+def test_a_target_for_every_step_makes_the_features_of_the_demonstration_zero(setup):
+    _, demonstrations, _ = setup
+    demo = demonstrations[0]
+    following = replace(demo, context=demo.observations[1:].ravel())
+    assert not features(demo.observations, following).any()
+    shifted = demo.observations + np.arange(9.0)
+    np.testing.assert_allclose(features(shifted, following), 9 * np.arange(9.0) ** 2)
 
 
 @pytest.fixture(scope="module")

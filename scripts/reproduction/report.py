@@ -7,13 +7,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from experiments.apprenticeship_variants import HEADER, rows_of
+from experiments.study import DRAWN
 from experiments.study import METHODS as STUDY_METHODS
 
 from kpirl_ocp.irl.cases.tasks import TASKS
 from kpirl_ocp.perception.detector.track_images import image_strips
 from kpirl_ocp.reporting import plus_minus
 from kpirl_ocp.types import Array
-from reproduction import axes, drawing, placing, reaching, robustness
+from reproduction import axes, drawing, placing, reaching, robustness, simulation
 from reproduction.learning import (
     APPRENTICE,
     DEFAULT,
@@ -93,8 +95,7 @@ def _simulation(page: Page, outcome: Outcome) -> None:
     for task in TASKS:
         runs = [outcome.results[f"simulation/{task}-{seed}"] for seed in outcome.seeds]
         panels = {
-            f"{task}: {what}": {m: [run[f"{m}/{what}"] for run in runs] for m in STUDY_METHODS if m != "default"}
-            for what in ("train", "test")
+            f"{task}: {what}": {m: [run[f"{m}/{what}"] for run in runs] for m in DRAWN} for what in ("train", "test")
         }
         page.figure(drawing.curves(panels, "IRL loss [m²]"), f"{task}: training and test loss over outer iterations")
         for method in STUDY_METHODS:
@@ -102,8 +103,12 @@ def _simulation(page: Page, outcome: Outcome) -> None:
                 [run[f"{method}/{what}"][run[f"{method}/best"]] for run in runs]
                 for what in ("train", "test", "distance")
             ]
-            rows.append([f"{task}: {method}", *map(spread, kept)])
-    page.table(["task: method", "train loss [m²]", "test loss [m²]", "relative distance"], rows)
+            seconds = np.mean([run[f"{method}/seconds"] for run in runs])
+            rows.append([f"{task}: {method}", *map(spread, kept), f"{seconds:.2f}"])
+    page.table(["task: method", "train loss [m²]", "test loss [m²]", "relative distance", "learning [s]"], rows)
+    page.text("Does apprenticeship learning oscillate? Every choice that the paper leaves open:")
+    names = {task: [outcome.results[f"simulation/{task}-{seed}"] for seed in outcome.seeds] for task in TASKS}
+    page.table(HEADER, rows_of({task: [simulation.variants_of(run) for run in runs] for task, runs in names.items()}))
 
 
 def _reaching(page: Page, outcome: Outcome) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from experiments.study import StudySettings, run_case
+from experiments.apprenticeship_variants import Variant, run_variants
+from experiments.study import Case, StudySettings, run_case
 
 from kpirl_ocp.irl.cases.tasks import TASKS, write_demonstrations
 from kpirl_ocp.ocp.models.robot import Robot
@@ -26,12 +28,22 @@ def jobs(preset: Preset, seeds: Sequence[int]) -> list[Job]:
 
 
 def run(task: str, seed: int, settings: StudySettings) -> Result:
-    """Curves of every method: "<method>/<train, test or distance>", and which row was kept."""
+    """Curves, "<method>/<train, test or distance>", which row was kept and seconds; and "variants/<name>/<field>"."""
     with tempfile.TemporaryDirectory() as directory:
         write_demonstrations(Path(directory), Robot.iiwa(), task, settings.tests, seed, settings.horizon)
-        curves = run_case(Path(directory), seed, settings)
+        case = Case.read(Path(directory), seed, settings)
+    curves = run_case(case)
     found: Result = {}
     for method, curve in curves.items():
         found |= {f"{method}/{field}": getattr(curve, field) for field in ("train", "test", "distance")}
-        found[f"{method}/best"] = np.array(curve.best)
+        found[f"{method}/best"], found[f"{method}/seconds"] = np.array(curve.best), np.array(curve.seconds)
+    for name, variant in run_variants(case).items():
+        found |= {f"variants/{name}/{field}": np.array(value) for field, value in asdict(variant).items()}
     return found
+
+
+def variants_of(found: Result) -> dict[str, Variant]:
+    """The variants of apprenticeship learning in the result of a job."""
+    names = dict.fromkeys(key.split("/")[1] for key in found if key.startswith("variants/"))
+    fields = ("losses", "test", "swings")
+    return {name: Variant(*(found[f"variants/{name}/{field}"] for field in fields)) for name in names}

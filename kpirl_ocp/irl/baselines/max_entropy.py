@@ -21,6 +21,7 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Demonstration
 
 _STEPS = 200
+_RANGE = 100.0  # of log psi; beyond it numbers overflow
 
 
 def max_entropy(
@@ -37,6 +38,8 @@ def max_entropy(
         raise ProblemError(f"psi0 must be positive, got {start}.")
 
     def evaluate(log_psi: Array) -> Point:
+        if np.abs(log_psi).max() > _RANGE:
+            return Point(log_psi, np.inf, np.full(len(start), np.nan))
         psi = np.exp(log_psi)
         terms = [negative_log_likelihood(one, psi) for one in found]
         values, slopes = zip(*terms, strict=True)

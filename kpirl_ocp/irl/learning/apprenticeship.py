@@ -5,8 +5,8 @@ finds the cost under which the expert beats all plans so far by the largest marg
 
     psi = argmax_{|psi| <= 1} min_j psi . (mu_j - mu_E),        mu_j = features of plan j, mu_E = of the expert.
 
-The paper writes mu_E - mu_j, right for a reward; a cost is to be low for the expert. As in the code the paper
-builds on, psi comes from the support-vector form min |psi|^2 / 2 s.t. psi . (mu_j - mu_E) >= 1, scaled to length one.
+The paper writes mu_E - mu_j, right for a reward; a cost is to be low for the expert. `margins` has other rules. Where
+the context holds a target for every step, (T n_z,), the same features are the per-step IRL losses of appendix A.4.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.learning.evaluation import evaluate
+from kpirl_ocp.irl.learning.margins import Rule, largest_margin
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.types import Array, Demonstration
@@ -31,8 +31,8 @@ class ApprenticeshipResult:
 
     psi: (n_z,) with the lowest training loss. loss: that loss.
     losses: (epochs,) training IRL loss of each epoch's plan. psis: (epochs, n_z). margins: (epochs,).
-    separable: False if the last margin was zero, where Abbeel and Ng's algorithm ends: the expert's features are a
-        mixture of those found, and no cost tells them apart.
+    separable: False if the rule found no margin in the end, where Abbeel and Ng's algorithm stops: the expert's
+        features are a mixture of those found, and no cost tells them apart.
     seconds: wall time.
     """
 
@@ -53,6 +53,7 @@ def apprenticeship(
     rng: np.random.Generator,
     discount: float = 1.0,
     initial_spread: float = 0.05,
+    rule: Rule = largest_margin,
 ) -> ApprenticeshipResult:
     """Run the baseline with the inner loop of the unrolled method.
 
@@ -61,6 +62,7 @@ def apprenticeship(
         epochs: plans after the first one, at most.
         discount: gamma of the features.
         rng, initial_spread: the first plan takes random actions of this standard deviation [rad].
+        rule: how psi follows from the features of all plans so far and of the expert.
 
     Raises:
         ProblemError: another cost, no epoch, or a first plan that already has the expert's features.
@@ -75,7 +77,7 @@ def apprenticeship(
     history: list[tuple[Array, float, float]] = []
     separable = True
     for _ in range(epochs):
-        psi, margin = max_margin(np.array(found) - expert)
+        psi, margin = rule(np.array(found), expert)
         separable = margin > 0
         if not separable:
             break
@@ -92,28 +94,14 @@ def apprenticeship(
 
 
 def features(observations: Array, demonstration: Demonstration, discount: float = 1.0) -> Array:
-    """phi (n_z,) of observations (T+1, n_z): discounted squared distances to the goal, summed over t = 1..T.
+    """phi (n_z,) of observations (T+1, n_z): discounted squared distances to the target, summed over t = 1..T.
+
+    The target is the demonstration's context: one for all steps, (n_z,), or one for each, (T n_z,).
 
     The same observations have the same features to the last bit, however they lie in memory.
     """
-    errors = np.ascontiguousarray(observations[1:] - demonstration.context) ** 2
+    errors = np.ascontiguousarray(observations[1:] - demonstration.context.reshape(-1, observations.shape[1])) ** 2
     return (discount ** np.arange(1, len(observations))[:, None] * errors).sum(axis=0)
-
-
-def max_margin(differences: Array) -> tuple[Array, float]:
-    """The unit psi (n,) with the largest min_j psi . differences[j], and that margin; (0, 0) if none is positive."""
-    n, size = differences.shape[1], np.abs(differences).max()
-    if size == 0:
-        return np.zeros(n), 0.0
-    rows = differences / size  # so that the QP's tolerances mean the same in all units
-    structure = {"h": ca.Sparsity.diag(n), "a": ca.Sparsity.dense(*rows.shape)}
-    solver = ca.conic("max_margin", "daqp", structure, {"error_on_fail": False, "print_time": False})
-    psi = np.array(solver(h=ca.DM.eye(n), g=0, a=rows, lba=1, uba=np.inf)["x"]).ravel()
-    length = np.linalg.norm(psi)
-    if not solver.stats()["success"] or length == 0:
-        return np.zeros(n), 0.0
-    margin = float((differences @ psi).min() / length)
-    return (psi / length, margin) if margin > 0 else (np.zeros(n), 0.0)
 
 
 def _check_cost(problem: OCP, demonstration: Demonstration) -> None:
