@@ -8,7 +8,18 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from reproduction import axes, data, learning, placing, reaching, report, robustness, simulation
+from reproduction import (
+    axes,
+    background,
+    data,
+    learning,
+    placing,
+    reaching,
+    repeated,
+    report,
+    robustness,
+    simulation,
+)
 from reproduction.data import Data, Models
 from reproduction.outcome import Outcome, claims
 from reproduction.page import Page
@@ -16,6 +27,7 @@ from reproduction.settings import PRESETS, Preset
 from reproduction.sweep import BACKENDS, Job, Result, backend, run_sweep
 
 from kpirl_ocp.irl.visual.demonstrations import robot_demonstration
+from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.reporting import output_directory, run, write_metrics
 
 
@@ -73,6 +85,7 @@ def experiments(models: Models, material: Data, preset: Preset, seeds: Sequence[
         [
             *reaching.jobs(models, material.reaching, chosen["reaching"], preset, seeds),
             *placing.jobs(models, found, chosen["placing"], preset),
+            *with_background(models, material, found, chosen, preset, seeds[0]),
         ],
     )
     stage(
@@ -82,10 +95,36 @@ def experiments(models: Models, material: Data, preset: Preset, seeds: Sequence[
             *axes.jobs(models, material.reaching, learned, preset, seeds),
         ],
     )
-    stage("5/6 placing, executed", placing.execution_jobs(models, found, learned))
+    stage(
+        "5/6 placing, executed",
+        [
+            *placing.execution_jobs(models, found, learned),
+            *repeated.jobs(models, found, learned, preset.executions, seeds[0]),
+        ],
+    )
     stage("6/6 robustness", robustness.jobs(models, found, learned, preset.cases))
     stage.results |= {f"demonstration-{seed}": placing.shown(material.placing, seed) for seed in seeds}
     return Outcome(preset, seeds, chosen, tried, stage.results)
+
+
+def with_background(
+    models: Models,
+    material: Data,
+    found: dict[int, placing.Setup],
+    chosen: dict[str, InnerLoop],
+    preset: Preset,
+    seed: int,
+) -> list[Job]:
+    """Both tasks with a keypoint in the background."""
+    dynamics = models.load_dynamics("reaching")
+    train = [robot_demonstration(dynamics, track) for track in material.reaching[: max(preset.demonstrations)]]
+    demonstrations = {"reaching": train, "placing": [found[seed].demonstration]}
+    adam = {"reaching": preset.reaching_iterations, "placing": preset.placing_iterations}
+    jobs = []
+    for task in background.TASKS:
+        counts = {c: reaching.iterations_of(c, adam[task], preset) for c in background.CONTENDERS}
+        jobs += background.jobs(task, models, demonstrations[task], chosen[task], counts, seed)
+    return jobs
 
 
 def main() -> None:

@@ -107,7 +107,7 @@ def test_fewer_directions_are_known_with_more_noise_and_none_beyond_the_spread()
 
 def test_a_weight_that_moves_nothing_is_not_determined_and_keeps_its_spread():
     found = identify(one_step(idle=True), [planned()], [Q, R, 7.0], spread=[0.1, 5.0, 3.0], noise=1e-3)
-    assert not found.determined[2]
+    assert not found.determined()[2]
     np.testing.assert_allclose(found.posterior[2], [0, 0, 9.0], atol=1e-9)
     np.testing.assert_array_equal(found.intervals()[2], [-np.inf, np.inf])
     np.testing.assert_allclose(found.credible_intervals()[2], 7.0 + 1.6449 * 3.0 * np.array([-1, 1]), rtol=1e-4)
@@ -119,8 +119,21 @@ def test_the_posterior_is_the_inverse_of_information_and_prior():
     expected = np.linalg.inv(found.information / 0.02**2 + np.diag(1 / spread**2))
     np.testing.assert_allclose(found.posterior, expected, rtol=1e-7, atol=1e-12)
     row = np.arange(10.0)
+    halved = np.sqrt(row @ expected @ row) < 0.5 * np.linalg.norm(row * spread)
+    assert found.determined(row) == [halved]
     width = np.ptp(found.credible_intervals(0.9, row))
     np.testing.assert_allclose(width, 2 * 1.6448536 * np.sqrt(row @ expected @ row), rtol=1e-6)
+
+
+def test_parameters_that_were_alike_before_learning_are_learned_together():
+    rng, common = np.random.default_rng(2), np.array([[1.0, 0.3], [1.0, -0.3]])
+    found = identify(one_step(), [planned()], [Q, R], spread=common, noise=0.05)
+    expected = np.linalg.inv(slope().T @ slope() / 0.05**2 + np.linalg.inv(common @ common.T))
+    np.testing.assert_allclose(found.posterior, expected, rtol=1e-7)
+    turn, _ = np.linalg.qr(rng.normal(size=(2, 2)))  # the same covariance by another root
+    other = identify(one_step(), [planned()], [Q, R], spread=common @ turn, noise=0.05)
+    np.testing.assert_allclose(other.eigenvalues, found.eigenvalues, atol=1e-9 * found.eigenvalues[0])
+    np.testing.assert_allclose(other.posterior, expected, rtol=1e-7)
 
 
 def test_units_of_psi_do_not_change_how_many_directions_are_known():
@@ -218,8 +231,12 @@ def test_what_cannot_be_identified_is_said():
     problem = one_step()
     with pytest.raises(ProblemError, match="at least one demonstration"):
         identify(problem, [], [Q, R])
-    with pytest.raises(ProblemError, match="must be positive"):
+    with pytest.raises(ProblemError, match="spread must be positive"):
         identify(problem, [planned()], [Q, R], spread=[1.0, 0.0])
+    with pytest.raises(ProblemError, match="invertible"):
+        identify(problem, [planned()], [Q, R], spread=np.ones((2, 2)))
+    with pytest.raises(ProblemError, match="noise must be positive"):
+        identify(problem, [planned()], [Q, R], noise=0.0)
     with pytest.raises(ProblemError, match="say nothing about their noise"):
         identify(problem, [planned()], [Q, R])
     with pytest.raises(ProblemError, match=r"Implicit\(\.\.\.\) or Unrolled"):

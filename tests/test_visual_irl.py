@@ -9,6 +9,7 @@ from kpirl_ocp.episodes import ArmTrack, KeypointTrack
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.planar_arm import without_joints
 from kpirl_ocp.irl.learning.evaluation import relative_distance
+from kpirl_ocp.irl.learning.optimisers import Adam
 from kpirl_ocp.irl.visual.closed_loop import KeypointController
 from kpirl_ocp.irl.visual.demonstrations import (
     moving_keypoints,
@@ -200,7 +201,7 @@ def test_a_demonstration_that_the_family_can_express_is_learned(name):
     kernels = np.random.default_rng(3).uniform(0.2, 2.0, (basis.matrix(T).shape[1], 2 * K))
     wanted = demonstration(basis.matrix(T) @ kernels)
     rng = np.random.default_rng(0)
-    learned = learn_unrolled(DYNAMICS, [wanted], basis, INNER, 300, rng, learning_rate=3e-2)
+    learned = learn_unrolled(DYNAMICS, [wanted], basis, INNER, 300, rng, Adam(3e-2))
     assert learned.losses[learned.best] < 1e-3 * learned.losses[0]
     planned = learned.cost.solver.solve(planning_problem(DYNAMICS, T), wanted.s0, learned.cost.psi, GOAL)
     assert np.sum((planned.states[:, : 2 * K] - wanted.observations) ** 2) == pytest.approx(
@@ -222,8 +223,8 @@ def test_the_converged_problem_learns_it_too_with_or_without_effort(effort):
 def test_unrolled_learning_can_learn_effort_too():
     wanted = demonstration(np.ones((T, 2 * K)), efforts=3.0)
     rngs = [np.random.default_rng(0), np.random.default_rng(0)]
-    without = learn_unrolled(DYNAMICS, [wanted], COSTS["Weighted"], INNER, 40, rngs[0], 3e-2)
-    with_it = learn_unrolled(DYNAMICS, [wanted], COSTS["Weighted"], INNER, 40, rngs[1], 3e-2, effort="learned")
+    without = learn_unrolled(DYNAMICS, [wanted], COSTS["Weighted"], INNER, 40, rngs[0], Adam(3e-2))
+    with_it = learn_unrolled(DYNAMICS, [wanted], COSTS["Weighted"], INNER, 40, rngs[1], Adam(3e-2), effort="learned")
     assert not without.cost.efforts.any()
     assert with_it.cost.efforts[0] > 0
 

@@ -17,21 +17,25 @@ from kpirl_ocp.irl.visual.planning_costs import planning_problem
 from kpirl_ocp.types import Demonstration
 from reproduction import reaching
 from reproduction.data import Models
-from reproduction.learning import IMPLICIT, MORE_STEPS, UNROLLED, unpacked
+from reproduction.learning import IMPLICIT, LITERAL, MORE_STEPS, SMALL_START, UNROLLED, unpacked
 from reproduction.settings import Preset
 from reproduction.sweep import Job, Result
 
-CONTENDERS = (*UNROLLED, *MORE_STEPS, *IMPLICIT)
+KEYS = ("both", "without_y", "without_x")
+CONTENDERS = (*UNROLLED, *LITERAL, *SMALL_START, *MORE_STEPS, *IMPLICIT)
 
 
 def jobs(
     models: Models, tracks: Sequence[ArmTrack], learned: dict[str, Result], preset: Preset, seeds: Sequence[int]
 ) -> list[Job]:
-    """One for every cost that was learned from the most demonstrations."""
+    """One for every cost that was learned."""
     dynamics = models.load_dynamics("reaching")
     test = [robot_demonstration(dynamics, track) for track in tracks[-preset.tests :]]
     names = [
-        reaching.name_of(contender, max(preset.demonstrations), seed) for contender in CONTENDERS for seed in seeds
+        reaching.name_of(contender, count, seed)
+        for contender in CONTENDERS
+        for count in preset.demonstrations
+        for seed in seeds
     ]
     return [
         Job(name_of(name), run, {"models": models, "test": test, "learned": learned[name]})

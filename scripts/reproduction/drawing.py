@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 
 from kpirl_ocp.figures import bands, colours, new_figure, wrapped_figure
 from kpirl_ocp.pictures import COLOURS
-from kpirl_ocp.types import Array
+from kpirl_ocp.types import Array, Mask
 
 Runs = Mapping[str, Sequence[Array]]
 
@@ -45,35 +46,45 @@ def bars(panels: Mapping[str, Mapping[str, Mapping[str, Array]]], ylabel: str) -
     return figure
 
 
-def keypoint_weights(panels: Mapping[str, Sequence[Array]]) -> Figure:
-    """Weights (T, n_z) over seeds, averaged over time: bars per coordinate, in the keypoints' colours."""
-    figure, axes = wrapped_figure(len(panels), width=3.4, height=2.8)
-    for axis, (title, runs) in zip(axes, panels.items(), strict=True):
-        values = np.array([run.mean(axis=0) for run in runs])
-        _weight_bars(axis, values, np.arange(values.shape[1]), 0.8, hatch=None)
+class Bars(NamedTuple):
+    """Weights (n_z,) of one cost with half-widths (n_z,) of their intervals, and whether the data determine them."""
+
+    weights: Array
+    halfwidths: Array
+    determined: Mask
+
+
+def keypoint_weights(panels: Mapping[str, Sequence[Bars]]) -> Figure:
+    """One panel per cost; several sets of bars (early, late) stand side by side, the second hatched.
+
+    Bars are in the keypoints' colours, and grey where the data do not determine them.
+    """
+    figure, axes = wrapped_figure(len(panels), width=3.6, height=2.8)
+    for axis, (title, sets) in zip(axes, panels.items(), strict=True):
+        for index, bars in enumerate(sets):
+            _weight_bars(axis, bars, (index + 0.5) / len(sets) - 0.5, 0.8 / len(sets), "////" if index else None)
+        names = [f"{'xy'[i % 2]}{i // 2 + 1}" for i in range(len(sets[0].weights))]
+        axis.set_xticks(range(len(names)), names, fontsize=8)
         axis.set(title=title, ylabel="weight")
+        axis.axhline(0.0, color="black", linewidth=0.6)
+        axis.grid(alpha=0.3, axis="y")
     return figure
 
 
-def early_and_late_weights(panels: Mapping[str, Sequence[Array]], steps: int) -> Figure:
-    """Weights (T, n_z) over seeds, in the mean over the first `steps`, plain, and the last `steps`, hatched."""
-    figure, axes = wrapped_figure(len(panels), width=4.2, height=2.8)
-    for axis, (title, runs) in zip(axes, panels.items(), strict=True):
-        for side, hatch in ((-1, None), (1, "////")):
-            values = np.array([(run[:steps] if side < 0 else run[-steps:]).mean(axis=0) for run in runs])
-            _weight_bars(axis, values, np.arange(values.shape[1]) + 0.2 * side, 0.38, hatch)
-        axis.set(title=f"{title}: first (plain), last {steps} steps", ylabel="weight")
+def _weight_bars(axis: Axes, bars: Bars, shift: float, width: float, hatch: str | None) -> None:
+    places = np.arange(len(bars.weights)) + 0.8 * shift
+    colours = [COLOURS[i // 2] if known else "#cccccc" for i, known in enumerate(bars.determined)]
+    axis.bar(places, bars.weights, width, color=colours, hatch=hatch, edgecolor="white", linewidth=0)
+    axis.errorbar(places, bars.weights, bars.halfwidths, fmt="none", ecolor="#555555", elinewidth=0.8, capsize=2)
+
+
+def starts(images: Mapping[str, Array]) -> Figure:
+    """One image (H, W, 3) per start."""
+    figure = Figure(figsize=(2.4 * len(images), 2.7), layout="constrained")
+    for axis, (title, image) in zip(np.atleast_1d(figure.subplots(1, len(images))), images.items(), strict=True):
+        axis.imshow(image)
+        axis.set(xticks=[], yticks=[], title=title)
     return figure
-
-
-def _weight_bars(axis: Axes, values: Array, places: Array, width: float, hatch: str | None) -> None:
-    """Bars of (seeds, n_z), one colour per keypoint."""
-    colours = [COLOURS[i // 2] for i in range(values.shape[1])]
-    means, spreads = values.mean(axis=0), values.std(axis=0)
-    axis.bar(places, means, width, yerr=spreads, color=colours, hatch=hatch, edgecolor="white", linewidth=0, capsize=2)
-    axis.set_xticks(range(values.shape[1]), [f"{'xy'[i % 2]}{i // 2 + 1}" for i in range(values.shape[1])], fontsize=8)
-    axis.axhline(0.0, color="black", linewidth=0.6)
-    axis.grid(alpha=0.3, axis="y")
 
 
 def success(table: Mapping[str, Mapping[str, float]], threshold: str) -> Figure:

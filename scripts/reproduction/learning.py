@@ -9,6 +9,7 @@ import numpy as np
 
 from kpirl_ocp.errors import CertificateError, ProblemError
 from kpirl_ocp.irl.learning.evaluation import evaluate
+from kpirl_ocp.irl.learning.optimisers import Descent
 from kpirl_ocp.irl.visual.learning import (
     CONVERGED,
     COSTS,
@@ -20,10 +21,12 @@ from kpirl_ocp.irl.visual.learning import (
     learn_unrolled,
 )
 from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
+from kpirl_ocp.ocp.models.keypoint_costs import Default, KeypointCost
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.types import Demonstration
 from reproduction.data import Models
-from reproduction.settings import PAPER_LOOP
+from reproduction.identification import identified
+from reproduction.settings import LARGER_RATE, PAPER_LOOP, PAPER_START, PRINTED_RATE
 from reproduction.sweep import Job, Result
 
 
@@ -47,6 +50,8 @@ class Contender:
 
 
 UNROLLED = tuple(Contender(cost, "unrolled") for cost in COSTS)
+LITERAL = tuple(Contender(cost, "unrolled, to the letter") for cost in COSTS)
+SMALL_START = tuple(Contender(cost, "unrolled, small start") for cost in COSTS)
 MORE_STEPS = tuple(Contender(cost, "unrolled, more steps") for cost in COSTS)
 APPRENTICE = Contender("Weighted", "apprenticeship")
 DEFAULT = Contender("Weighted", "default")  # has nothing to learn
@@ -57,6 +62,7 @@ EFFORT = (  # a single step from u = 0 knows no effort
     Contender("Weighted", "implicit, effort learned"),
     Contender("Weighted", "implicit, effort per step"),
 )
+_DESCENT = {"unrolled, to the letter": PRINTED_RATE, "unrolled, small start": LARGER_RATE}
 
 
 @dataclass(frozen=True)
@@ -75,9 +81,13 @@ def learn(dynamics: NetworkDynamics, demonstrations: Sequence[Demonstration], le
     basis, rng = COSTS[lesson.contender.cost], np.random.default_rng(lesson.seed)
     if method.startswith("default"):
         planned = PlanningCost.default(horizon_of(demonstrations), dynamics.n_z, inner.solver)
-        return LearnedPlan(planned, np.array([_mean_loss(dynamics, planned, demonstrations)]), 0, 0.0)
+        losses = np.array([_mean_loss(dynamics, planned, demonstrations)])
+        return LearnedPlan(planned, KeypointCost(Default()), np.zeros(0), losses, 0, 0.0)
     if method == "apprenticeship":
         return learn_by_apprenticeship(dynamics, demonstrations, inner, iterations, rng)
+    if method in _DESCENT:
+        optimiser = Descent(_DESCENT[method])
+        return learn_unrolled(dynamics, demonstrations, basis, inner, iterations, rng, optimiser, start=PAPER_START)
     if method.startswith("unrolled"):
         effort = "learned" if "effort" in method else None
         return learn_unrolled(dynamics, demonstrations, basis, inner, iterations, rng, effort=effort)
@@ -95,7 +105,10 @@ def learn_or_fail(dynamics: NetworkDynamics, demonstrations: Sequence[Demonstrat
         learned = learn(dynamics, demonstrations, lesson)
     except CertificateError as error:
         return {"failure": str(error)}
-    return {
+    method = lesson.contender.method
+    by_loss = method.startswith(("unrolled", "implicit")) and "effort" not in method
+    intervals = identified(dynamics, demonstrations, learned, lesson.inner) if by_loss else {}
+    return intervals | {
         "failure": "",
         "weights": learned.cost.weights,
         "efforts": learned.cost.efforts,
@@ -105,6 +118,7 @@ def learn_or_fail(dynamics: NetworkDynamics, demonstrations: Sequence[Demonstrat
         "converged": lesson.contender.method.startswith("implicit"),
         "steps": lesson.inner.steps,
         "step_size": lesson.inner.step_size,
+        "capped": len(learned.losses) > lesson.iterations,
     }
 
 

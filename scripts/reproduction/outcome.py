@@ -9,13 +9,15 @@ import numpy as np
 
 from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.types import Array
-from reproduction import axes, placing, reaching, robustness
+from reproduction import axes, placing, reaching, repeated, robustness
 from reproduction.learning import (
     APPRENTICE,
     DEFAULT,
     DEFAULT_MORE_STEPS,
     IMPLICIT,
+    LITERAL,
     MORE_STEPS,
+    SMALL_START,
     UNROLLED,
     Contender,
     Tried,
@@ -50,9 +52,8 @@ class Outcome:
         found = [self.results[reaching.name_of(contender, count, seed)] for seed in self.seeds]
         return [result[key] for result in found if not result["failure"]]
 
-    def without_axis(self, contender: Contender, key: str) -> Array:
+    def without_axis(self, contender: Contender, count: int, key: str) -> Array:
         """A result of `axes`, (seeds,)."""
-        count = max(self.preset.demonstrations)
         names = [axes.name_of(reaching.name_of(contender, count, seed)) for seed in self.seeds]
         return np.array([self.results[name][key] for name in names if name in self.results])
 
@@ -65,6 +66,11 @@ class Outcome:
         """A result of playing it, (seeds, ...); seeds in which the cost was not learned are left out."""
         names = [placing.executed_name(contender, seed, start, closed) for seed in self.seeds]
         return np.array([self.results[name][key] for name in names if name in self.results])
+
+    def repeated(self, contender: Contender, start: int) -> Array:
+        """Squared distances (executions,) of one cost, executed several times; empty if it was not learned."""
+        found = self.results.get(repeated.job_name(contender, start), {"squared": np.zeros(0)})
+        return np.asarray(found["squared"])
 
     def failures(self) -> dict[str, str]:
         """The costs that could not be learned, and why."""
@@ -95,8 +101,12 @@ def claims(outcome: Outcome) -> list[Claim]:
     """The paper's findings, tested."""
     counts = outcome.preset.demonstrations
     found = [_nearer(outcome, count, *loop) for loop in _LOOPS for count in counts]
-    found += [_y_is_small(outcome, contender, max(counts)) for contender in (*UNROLLED, APPRENTICE, *MORE_STEPS)]
+    if len(counts) > 1:
+        found.append(_one_is_enough(outcome, min(counts), max(counts)))
+    learned = (*UNROLLED, *LITERAL, *SMALL_START, APPRENTICE, *MORE_STEPS)
+    found += [_y_is_small(outcome, contender, count) for contender in learned for count in counts]
     found.append(_unstable(outcome, max(counts)))
+    found += [_converges(outcome, contender) for contender in UNROLLED]
     found += [_better_placing(outcome, start, *loop) for loop in _LOOPS for start in STARTS]
     found += [_x_then_y(outcome, contender) for contender in (*UNROLLED, *MORE_STEPS) if contender.cost != "Weighted"]
     return found
@@ -128,8 +138,29 @@ def axis_weights(weights: Array) -> tuple[float, float]:
 def _y_is_small(outcome: Outcome, contender: Contender, count: int) -> Claim:
     pairs = [axis_weights(weights) for weights in outcome.reaching(contender, count, "weights")]
     x, y = np.mean(pairs, axis=0)
-    text = f"Reaching: {contender.label} gives y less weight than x."
+    text = f"Reaching: {contender.label} gives y less weight than x, {count} demonstration(s)."
     return Claim(text, bool(abs(y) < x), f"x {x:.3g}, y {y:.3g} (mean weight)")
+
+
+def _one_is_enough(outcome: Outcome, few: int, many: int) -> Claim:
+    pairs = {c.label: [_mean(outcome.reaching(c, count, "distance")) for count in (few, many)] for c in UNROLLED}
+    text = f"Reaching, one step: one demonstration does about as well as {many} (relative distance within a fifth)."
+    numbers = ", ".join(f"{name} {one:.3g} and {more:.3g}" for name, (one, more) in pairs.items())
+    return Claim(text, all(one <= 1.2 * more for one, more in pairs.values()), numbers)
+
+
+def settled(losses: Array, share: float = 0.05) -> int:
+    """The outer iteration at which the lowest loss so far is within this share of the whole descent from its end."""
+    lowest = np.minimum.accumulate(losses)
+    return int(np.argmax(lowest - lowest[-1] <= share * (lowest[0] - lowest[-1])))
+
+
+def _converges(outcome: Outcome, contender: Contender) -> Claim:
+    found = [settled(losses) for losses in outcome.placing(contender, "losses")]
+    text = (
+        f"Placing: the loss converges around iteration 2000, {contender.label} (95 % of its descent by 1000 to 3000)."
+    )
+    return Claim(text, 1000 <= np.mean(found) <= 3000, f"95 % after {', '.join(map(str, found))} iterations")
 
 
 def _unstable(outcome: Outcome, count: int) -> Claim:

@@ -28,7 +28,9 @@ from reproduction.learning import (
     DEFAULT_MORE_STEPS,
     EFFORT,
     IMPLICIT,
+    LITERAL,
     MORE_STEPS,
+    SMALL_START,
     UNROLLED,
     Contender,
     Lesson,
@@ -41,7 +43,7 @@ from reproduction.sweep import Job, Result
 
 SIZE = 240  # of the images [pixels]
 SUCCESS = 8.0  # the middle of the bottle ends within this of its goal [pixels]; 8 are about 31 mm
-CONTENDERS = (*UNROLLED, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT, *EFFORT)
+CONTENDERS = (*UNROLLED, *LITERAL, *SMALL_START, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT, *EFFORT)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,9 @@ from reproduction.learning import (
     DEFAULT_MORE_STEPS,
     EFFORT,
     IMPLICIT,
+    LITERAL,
     MORE_STEPS,
+    SMALL_START,
     UNROLLED,
     Contender,
     Lesson,
@@ -37,15 +39,17 @@ from reproduction.sweep import Job, Result
 RATE = 5  # [Hz]
 
 
-PLAYED = (*UNROLLED, APPRENTICE, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS)
-CONTENDERS = (*PLAYED, *IMPLICIT, *EFFORT)
+PLAYED = (*UNROLLED, *LITERAL, APPRENTICE, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS)
+CONTENDERS = (*PLAYED, *SMALL_START, *IMPLICIT, *EFFORT)
 
 
-def iterations_of(contender: Contender, descent: int, preset: Preset) -> int:
-    """Outer iterations; `descent` for those that use Adam."""
+def iterations_of(contender: Contender, adam: int, preset: Preset) -> int:
+    """Outer iterations; `adam` for those that use Adam."""
+    if contender in (*LITERAL, *SMALL_START):
+        return preset.descent_iterations
     if contender.method.startswith("implicit"):
         return preset.implicit_iterations
-    return preset.baseline_iterations if contender.method == "apprenticeship" else descent
+    return preset.baseline_iterations if contender.method == "apprenticeship" else adam
 
 
 def jobs(

@@ -13,22 +13,23 @@ from experiments.study import METHODS as STUDY_METHODS
 
 from kpirl_ocp.irl.cases.tasks import TASKS
 from kpirl_ocp.perception.detector.track_images import image_strips
-from kpirl_ocp.reporting import plus_minus
 from kpirl_ocp.types import Array
-from reproduction import axes, drawing, placing, reaching, robustness, simulation
+from reproduction import beyond, checklist, drawing, meaning, placing, reaching, simulation
 from reproduction.learning import (
     APPRENTICE,
     DEFAULT,
     DEFAULT_MORE_STEPS,
-    EFFORT,
     IMPLICIT,
+    LITERAL,
     MORE_STEPS,
+    SMALL_START,
     UNROLLED,
     Contender,
 )
 from reproduction.outcome import Outcome, claims, restlessness
 from reproduction.page import Page
 from reproduction.settings import PAPER_LOOP, STARTS
+from reproduction.tables import per_seed, spread
 
 # Table 1 of the paper: mean and standard deviation of the squared distance, in its own unit.
 _PAPER = {
@@ -42,19 +43,23 @@ _PAPER = {
     (2, "Default"): (15.76, 1.34),
 }
 _TABLE_1 = tuple(zip((*UNROLLED, DEFAULT), (*MORE_STEPS, DEFAULT_MORE_STEPS), strict=True))
+_TABLE_1_NOTE = (
+    "Mean ± standard deviation over seeds; over executions of the first seed's cost where it says so. The paper does "
+    "not give the unit of its numbers; compare the ratios."
+)
 _LOSS = "IRL loss [(image half-widths)²]"
-_NEAR = f"{placing.SUCCESS:g} px (31 mm)"
 
 
 def write(page: Page, outcome: Outcome, settings: Mapping[str, Any]) -> None:
     """All sections."""
     _findings(page, outcome)
+    checklist.write(page, outcome)
     _choice(page, outcome)
     _simulation(page, outcome)
     _reaching(page, outcome)
     _placing(page, outcome)
-    _effort(page, outcome)
-    _robustness(page, outcome)
+    beyond.effort(page, outcome)
+    beyond.robust(page, outcome)
     page.heading("Settings and versions")
     page.listing(json.dumps(settings, indent=2, default=str))
 
@@ -115,7 +120,7 @@ def _reaching(page: Page, outcome: Outcome) -> None:
     page.heading("Experiment 1: reaching (paper, section 5.1)")
     counts = outcome.preset.demonstrations
     shown = (*UNROLLED, APPRENTICE)
-    contenders = (*shown, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT)
+    contenders = (*shown, *LITERAL, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT)
     panels = {
         f"{count} demonstration(s), train": {c.label: outcome.reaching(c, count, "losses") for c in shown}
         for count in counts
@@ -135,18 +140,20 @@ def _reaching(page: Page, outcome: Outcome) -> None:
     both = {"all dimensions": "distance", "x of moving keypoints": "distance_x"}
     bars = {
         f"{count} demonstration(s), test": {
-            c.label: {name: _per_seed(outcome.reaching(c, count, key)) for name, key in both.items()}
-            for c in contenders
+            c.label: {name: per_seed(outcome.reaching(c, count, key)) for name, key in both.items()} for c in contenders
         }
         for count in counts
     }
     page.figure(drawing.bars(bars, "relative distance"), "Relative distance to the goal on test demonstrations")
     most = max(counts)
-    for name, group in (("one step", shown), ("more steps", MORE_STEPS)):
-        page.figure(
-            drawing.keypoint_weights({c.label: outcome.reaching(c, most, "weights") for c in group}),
-            f"{name}: learned weights per keypoint (colour) and axis, {most} demonstration(s), mean over time",
-        )
+
+    def runs(contender: Contender, key: str) -> list[Array]:
+        return outcome.reaching(contender, most, key)
+
+    for name, group in (("one step", UNROLLED), ("more steps", MORE_STEPS), ("converged", IMPLICIT)):
+        caption = f"{name}: learned weights per keypoint (colour) and axis, {most} demonstration(s), mean over time"
+        meaning.figure(page, runs, group, halves=False, caption=caption)
+    meaning.known(page, runs, f"reaching, {most} demonstration(s)")
     rows = [
         [
             f"{c.label}, {count}",
@@ -154,13 +161,24 @@ def _reaching(page: Page, outcome: Outcome) -> None:
             *(spread(outcome.reaching(c, count, key)) for key in ("test", "distance", "distance_x")),
             f"{100 * restlessness(outcome.reaching(c, count, 'losses')):.0f} %",
             spread(outcome.reaching(c, count, "seconds")),
+            _stopped(outcome.reaching(c, count, "losses"), outcome.reaching(c, count, "capped")),
         ]
         for count in counts
         for c in contenders
     ]
-    header = ["cost, demonstrations", "train loss", "test loss", "rel. distance", "x of moving", "rises", "time [s]"]
-    page.table(header, rows, "Mean ± standard deviation over seeds, at the iterate with the lowest training loss.")
-    _axes(page, outcome)
+    header = [
+        "cost, demonstrations",
+        "train loss",
+        "test loss",
+        "rel. distance",
+        "x of moving",
+        "rises",
+        "time [s]",
+        "iterations",
+    ]
+    page.table(header, rows, "Mean ± standard deviation over seeds, at the best iterate; * at the limit.")
+    meaning.x_and_y(page, outcome)
+    meaning.red_keypoint(page, outcome)
     page.text("Played on the simulated arm, first seed:")
     rows = [
         [c.label, *(cell for loop in ("open", "closed") for cell in _played(outcome, c, loop))] for c in reaching.PLAYED
@@ -168,14 +186,9 @@ def _reaching(page: Page, outcome: Outcome) -> None:
     page.table(["cost", "open loop", "tracking [mrad]", "closed loop (MPC)", "tracking [mrad]"], rows)
 
 
-def _axes(page: Page, outcome: Outcome) -> None:
-    page.text(
-        "The object moves along x alone, and the paper's costs give y little weight. Are the weights on y idle here? "
-        "Test loss of the costs as learned, and with the weights of one axis set to zero:"
-    )
-    keys = ("both", "without_y", "without_x")
-    rows = [[c.label, *(spread(outcome.without_axis(c, key)) for key in keys)] for c in axes.CONTENDERS]
-    page.table(["cost", "as learned", "no weight on y", "no weight on x"], rows)
+def _stopped(losses: Sequence[Array], capped: Sequence[Any]) -> str:
+    """Outer iterations of every seed, with a star where the limit ended them."""
+    return ", ".join(f"{len(run) - 1}{'*' if cap else ''}" for run, cap in zip(losses, capped, strict=True))
 
 
 def _played(outcome: Outcome, contender: Contender, loop: str) -> list[str]:
@@ -187,15 +200,15 @@ def _placing(page: Page, outcome: Outcome) -> None:
     page.heading("Experiment 2: placing from one human demonstration (paper, section 5.2)")
     panels = {
         "one step": {c.label: outcome.placing(c, "losses") for c in UNROLLED},
+        "small start": {c.label: outcome.placing(c, "losses") for c in SMALL_START},
         "more steps": {c.cost: outcome.placing(c, "losses") for c in MORE_STEPS},
         "implicit": {c.cost: outcome.placing(c, "losses") for c in IMPLICIT},
     }
     page.figure(drawing.curves(panels, _LOSS), "IRL loss over training on one demonstration")
     for name, group in (("one step", UNROLLED), ("more steps", MORE_STEPS)):
-        page.figure(
-            drawing.early_and_late_weights({c.cost: outcome.placing(c, "weights") for c in group}, 5),
-            f"{name}: learned weights per keypoint (colour) and axis, in the first and in the last five steps",
-        )
+        caption = f"{name}: learned weights per keypoint (colour) and axis, in the first and (hatched) last five steps"
+        meaning.figure(page, outcome.placing, group, halves=True, caption=caption)
+    meaning.known(page, outcome.placing, "placing")
     _table_1(page, outcome)
     for loop, closed in (("open", False), ("closed", True)):
         rows = [
@@ -215,6 +228,8 @@ def _placing(page: Page, outcome: Outcome) -> None:
             header, rows, f"Success: the bottle's middle ends within {placing.SUCCESS:g} px (31 mm) of its goal."
         )
     seed = outcome.seeds[0]
+    shown = {f"start {s}": outcome.executed(DEFAULT, s, False, "images")[0][0] for s in STARTS}
+    page.figure(drawing.starts(shown), f"The two starts, seed {seed}")
     for start in STARTS:
         columns = {"Demo": _demonstration(outcome, seed)} | {
             c.label: tuple(outcome.executed(c, start, True, key)[0] for key in ("images", "keypoints", "goal"))
@@ -242,70 +257,9 @@ def _table_1(page: Page, outcome: Outcome) -> None:
             for contender, default in ((one_step, DEFAULT), (more_steps, DEFAULT_MORE_STEPS)):
                 played, closed = (outcome.executed(contender, start, loop, "squared") for loop in (False, True))
                 base = outcome.executed(default, start, False, "squared").mean()
-                rows[-1] += [spread(played), f"{played.mean() / base:.2f}", spread(closed)]
-    loops = [f"{steps}, {what}" for steps in ("one step", "more steps") for what in ("open", "/ Default", "closed")]
+                again = spread(outcome.repeated(contender, start))
+                rows[-1] += [spread(played), f"{played.mean() / base:.2f}", again, spread(closed)]
+    columns = ("open", "/ Default", "one cost, executions", "closed")
+    loops = [f"{steps}, {what}" for steps in ("one step", "more steps") for what in columns]
     header = ["cost, start", "paper", "paper / Default", *loops]
-    page.table(header, rows, "The paper does not give the unit of its numbers; compare the ratios.")
-
-
-def _effort(page: Page, outcome: Outcome) -> None:
-    page.heading("Beyond the paper: effort weights learned together with keypoint weights")
-    count = min(outcome.preset.demonstrations)
-    pairs = (MORE_STEPS[0], EFFORT[0], IMPLICIT[0], EFFORT[1], EFFORT[2])
-    rows = [
-        [
-            c.label,
-            spread(outcome.reaching(c, count, "test")),
-            spread(outcome.reaching(c, count, "distance")),
-            *(spread(outcome.executed(c, start, True, "squared")) for start in STARTS),
-            f"{np.mean([run.mean() for run in outcome.placing(c, 'efforts')]):.3g}",
-        ]
-        for c in pairs
-    ]
-    header = [
-        f"Weighted ({count} dem.)",
-        "reaching: test loss",
-        "rel. distance",
-        "placing 1 [px²]",
-        "placing 2 [px²]",
-        "effort, placing",
-    ]
-    page.table(header, rows, "Placing in closed loop.")
-
-
-def _robustness(page: Page, outcome: Outcome) -> None:
-    page.heading("Beyond the paper: robustness")
-    page.text(
-        f"{outcome.preset.cases} random cases per condition from around start 1. Success: the bottle's middle, which "
-        f"only the simulation knows, ends within {_NEAR} of where it should."
-    )
-    runs = outcome.robust_runs
-    rates = {
-        condition: {name: float(outcome.robust(condition, *run, "success")) for name, run in runs.items()}
-        for condition in robustness.CONDITIONS
-    }
-    page.figure(
-        drawing.success(rates, f"within {placing.SUCCESS:g} px"), "Success rates, in closed loop unless said otherwise"
-    )
-    rows = [
-        [
-            condition,
-            *(f"{100 * row[name]:.0f} %, {_median(outcome, condition, *run):.1f} px" for name, run in runs.items()),
-        ]
-        for condition, row in rates.items()
-    ]
-    page.table(["condition", *runs], rows, "Success rate, and median distance of the bottle from its goal.")
-
-
-def _median(outcome: Outcome, condition: str, contender: Contender, closed: bool) -> float:
-    return float(np.median(outcome.robust(condition, contender, closed, "bottle")))
-
-
-def spread(values: Sequence[Any] | Array) -> str:
-    """Mean and standard deviation over seeds; tests of one seed are averaged first."""
-    runs = _per_seed(values)
-    return plus_minus(runs.mean(), (runs - runs[0]).std()) if len(runs) else "not learned"
-
-
-def _per_seed(values: Sequence[Any] | Array) -> Array:
-    return np.array([np.mean(value) for value in values])
+    page.table(header, rows, _TABLE_1_NOTE)

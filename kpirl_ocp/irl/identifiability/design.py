@@ -31,7 +31,7 @@ def expected_information(
     candidates: their s0 and context count; what they observe does not.
     method: as in `identify`.
     """
-    root = np.linalg.cholesky(found.posterior + 1e-15 * np.diag(found.spread**2)) / found.noise
+    root = np.linalg.cholesky(found.posterior + 1e-15 * found.spread @ found.spread.T) / found.noise
     gains = []
     for candidate in candidates:
         jacobian = plan_jacobian(problem, candidate, found.psi, method).jacobian @ root

@@ -37,7 +37,8 @@ class Identification:
     """Evidence of the demonstrations about psi.
 
     psi: (n_psi,) where the loss was linearised. information: F (n_psi, n_psi).
-    spread: (n_psi,) the standard deviation of psi before learning, and the unit in which directions are compared.
+    spread: S (n_psi, n_psi) with the covariance S S^T of psi before learning; its columns are the units in which
+        directions are compared. Diagonal if parameters were independent.
     noise: sigma, in the unit of the observations. freedom: degrees of freedom of its estimate; infinite if it is given.
     decrement: length of the Gauss-Newton step to the minimum of the loss, in standard deviations; intervals are about
         the minimum, so they mean little where this is large.
@@ -54,7 +55,7 @@ class Identification:
 
     @cached_property
     def _spectrum(self) -> tuple[Array, Array]:
-        values, vectors = np.linalg.eigh(self.spread[:, None] * self.information * self.spread)
+        values, vectors = np.linalg.eigh(self.spread.T @ self.information @ self.spread)
         return np.maximum(values[::-1], 0.0), vectors[:, ::-1]
 
     @property
@@ -80,15 +81,15 @@ class Identification:
 
     @property
     def posterior(self) -> Array:
-        """Covariance (n_psi, n_psi) of psi, from the data and the spread: (F / sigma^2 + diag(1 / spread^2))^-1."""
-        scaled = self.directions * self.spread[:, None]
+        """Covariance (n_psi, n_psi) of psi, from the data and the spread: (F / sigma^2 + (S S^T)^-1)^-1."""
+        scaled = self.spread @ self.directions
         shrink = self.noise**2 / (self.eigenvalues + self.noise**2) if self.noise > 0 else 1.0 * ~self._resolved
         return (scaled * shrink) @ scaled.T
 
-    @property
-    def determined(self) -> Mask:
-        """(n_psi,) True for parameters whose standard deviation the data brought below half of the spread."""
-        return np.sqrt(np.diag(self.posterior)) < 0.5 * self.spread
+    def determined(self, combinations: ArrayLike | None = None) -> Mask:
+        """(m,) True for combinations whose standard deviation the data brought below half of what the spread allows."""
+        rows = self._rows(combinations)
+        return self._posterior_deviations(rows) < 0.5 * np.linalg.norm(rows @ self.spread, axis=1)
 
     def intervals(self, level: float = 0.9, combinations: ArrayLike | None = None) -> Array:
         """Confidence intervals (m, 2) of linear combinations of psi, from the data alone.
@@ -96,7 +97,7 @@ class Identification:
         combinations: (m, n_psi), one per row; by default psi itself. Infinite where the data do not determine them.
         """
         rows = self._rows(combinations)
-        parts = rows @ (self.directions * self.spread[:, None])  # (m, directions)
+        parts = rows @ self.spread @ self.directions  # (m, directions)
         known, lost = parts[:, self._resolved], parts[:, ~self._resolved]
         outside = np.linalg.norm(lost, axis=1) > _OUTSIDE * np.linalg.norm(parts, axis=1)
         deviations = np.linalg.norm(known * self.deviations[self._resolved], axis=1)
@@ -105,17 +106,20 @@ class Identification:
     def credible_intervals(self, level: float = 0.9, combinations: ArrayLike | None = None) -> Array:
         """Intervals from the data and the spread together: never wider than the prior ones.
 
-        They are about the psi that minimises the loss over sigma^2 plus |(psi - start) / spread|^2, which is where
+        They are about the psi that minimises the loss over sigma^2 plus |S^-1 (psi - start)|^2, which is where
         learning from a start ends, roughly: directions that the data do not determine stay at the start.
         """
         rows = self._rows(combinations)
-        return self._around(rows, np.sqrt(np.einsum("ij,jk,ik->i", rows, self.posterior, rows)), level)
+        return self._around(rows, self._posterior_deviations(rows), level)
 
     def _rows(self, combinations: ArrayLike | None) -> Array:
         rows = np.eye(len(self.psi)) if combinations is None else np.atleast_2d(np.asarray(combinations, float))
         if rows.shape[1:] != self.psi.shape:
             raise ProblemError(f"combinations must be (m, n_psi) = (m, {len(self.psi)}), got {rows.shape}.")
         return rows
+
+    def _posterior_deviations(self, rows: Array) -> Array:
+        return np.sqrt(np.einsum("ij,jk,ik->i", rows, self.posterior, rows))
 
     def _around(self, rows: Array, deviations: Array, level: float) -> Array:
         if not 0 < level < 1:
@@ -138,7 +142,8 @@ def identify(
 ) -> Identification:
     """Evidence of demonstrations about a learned psi (n_psi,).
 
-    spread: a number or (n_psi,); see `Identification`. `gains.stiffness` gives one that makes axes comparable.
+    spread: standard deviations of psi before learning, a number or (n_psi,); or S (n_psi, n_psi), see `Identification`.
+        `gains.stiffness` gives units that make axes comparable.
     noise: standard deviation of the observations; by default from the residuals, which counts misfit as noise.
     method: how the plan depends on psi: `Implicit` for the converged problem, `Unrolled` for gradient steps.
 
@@ -150,9 +155,9 @@ def identify(
     psi = np.asarray(psi, float).ravel()
     if not demonstrations:
         raise ProblemError("identify needs at least one demonstration.")
-    units = np.array(np.broadcast_to(np.asarray(spread, float), psi.shape))
-    if not (np.isfinite(units) & (units > 0)).all() or not (noise is None or 0 < noise < np.inf):
-        raise ProblemError(f"spread and noise must be positive and finite, got {spread!r} and {noise!r}.")
+    units = _spread(spread, len(psi))
+    if not (noise is None or 0 < noise < np.inf):
+        raise ProblemError(f"noise must be positive and finite, got {noise!r}.")
     plans = [plan_jacobian(problem, demonstration, psi, method) for demonstration in demonstrations]
     pairs = zip(plans, demonstrations, strict=True)
     residuals = np.concatenate(
@@ -160,7 +165,7 @@ def identify(
     )
     jacobian = np.vstack([plan.jacobian for plan in plans])
     information = jacobian.T @ jacobian
-    eigenvalues = np.linalg.eigvalsh(units[:, None] * information * units)
+    eigenvalues = np.asarray(np.linalg.eigvalsh(units.T @ information @ units), float)
     sigma, freedom = (noise, np.inf) if noise is not None else estimate_noise(residuals, eigenvalues)
     return Identification(
         psi=psi,
@@ -168,9 +173,19 @@ def identify(
         spread=units,
         noise=sigma,
         freedom=freedom,
-        decrement=_decrement(jacobian * units, residuals, sigma),
+        decrement=_decrement(jacobian @ units, residuals, sigma),
         uncertified=sum(not plan.certified for plan in plans),
     )
+
+
+def _spread(spread: ArrayLike, n: int) -> Array:
+    """S (n, n). Raises ProblemError unless it is finite and invertible."""
+    given = np.asarray(spread, float)
+    S = given if given.ndim == 2 else np.diag(np.broadcast_to(given, (n,)))
+    fits = S.shape == (n, n) and bool(np.isfinite(S).all()) and (given.ndim == 2 or bool((given > 0).all()))
+    if not fits or np.linalg.matrix_rank(S) < n:
+        raise ProblemError(f"spread must be positive, a number or ({n},), or an invertible ({n}, {n}); got {spread!r}.")
+    return S
 
 
 def estimate_noise(residuals: Array, eigenvalues: Array) -> tuple[float, float]:

@@ -33,6 +33,7 @@ from kpirl_ocp.types import Array, Demonstration
 COSTS: Mapping[str, Basis] = {"Weighted": Weighted(), "TimeDep": TimeDependent(), "RBF": RBF()}
 Effort = Literal["fixed", "learned", "learned per step"]
 CONVERGED = Riccati(tolerance=1e-9)  # solves the converged inner problem, in learning and in planning
+ADAM = Adam(1e-2)  # with the rate of the paper's code
 _LEAST_WEIGHT = 0.5  # starting weights are drawn between this and _LARGEST_WEIGHT, as in the simulation study
 _LARGEST_WEIGHT = 1.5
 
@@ -59,11 +60,14 @@ class InnerLoop:
 class LearnedPlan:
     """A learned cost and the history of learning.
 
+    family, psi: the parameters (n_psi,) that were learned, and the costs that they choose from.
     losses: (n+1,) mean training IRL loss after 0 .. n outer iterations. best: the one whose cost was kept.
     seconds: wall time.
     """
 
     cost: PlanningCost
+    family: KeypointCost
+    psi: Array
     losses: Array
     best: int
     seconds: float
@@ -82,15 +86,18 @@ def learn_unrolled(
     inner: InnerLoop,
     iterations: int,
     rng: np.random.Generator,
-    learning_rate: float = 1e-2,
+    optimiser: Optimiser = ADAM,
     effort: Effort | None = None,
+    start: float | None = None,
 ) -> LearnedPlan:
-    """The paper's Algorithm 1, with Adam.
+    """The paper's Algorithm 1.
 
     Args:
         iterations: of the outer loop.
-        rng: draws the starting weights.
+        rng: draws the starting weights, unless `start` gives them.
+        optimiser: Adam as in the paper's code, or `Descent`, as the paper has it.
         effort: None, as in the paper, or learned from a small value on.
+        start: of all weights, as in the paper's code.
 
     Raises:
         ProblemError: demonstrations differ in length.
@@ -98,13 +105,15 @@ def learn_unrolled(
     """
     horizon = horizon_of(demonstrations)
     learned = effort is not None
-    start: float | tuple[float, ...] = 0.1 * inner.effort if learned else 0.0
+    rho: float | tuple[float, ...] = 0.1 * inner.effort if learned else 0.0
     if effort == "learned per step":
-        start = (float(np.mean(start)),) * horizon
-    cost = KeypointCost(basis, effort=start, learn_effort=learned)
+        rho = (float(np.mean(rho)),) * horizon
+    cost = KeypointCost(basis, effort=rho, learn_effort=learned)
     weights = starting_weights(basis, horizon, dynamics.n_z, rng)
+    if start is not None:
+        weights = np.full_like(weights, start)
     method = Unrolled(inner.solver)
-    return _learn(dynamics, demonstrations, cost, weights, method, Adam(learning_rate), iterations, inner.solver)
+    return _learn(dynamics, demonstrations, cost, weights, method, optimiser, iterations, inner.solver)
 
 
 def learn_implicit(
@@ -141,7 +150,7 @@ def learn_by_apprenticeship(
     problem = network_ocp(dynamics, cost, horizon)
     result = apprenticeship(problem, demonstrations, inner.solver, iterations, rng)
     planned = PlanningCost.of(cost, result.psi, horizon, dynamics.n_z, inner.solver)
-    return LearnedPlan(planned, result.losses, int(np.argmin(result.losses)), result.seconds)
+    return LearnedPlan(planned, cost, result.psi, result.losses, int(np.argmin(result.losses)), result.seconds)
 
 
 def horizon_of(demonstrations: Sequence[Demonstration]) -> int:
@@ -167,4 +176,5 @@ def _learn(
     psi0 = cost.initial(horizon, n_z, weights)
     result = learn(problem, demonstrations, psi0, method, optimiser, iterations, progress=False)
     planned = PlanningCost.of(cost, result.psi, horizon, n_z, solver)
-    return LearnedPlan(planned, result.losses, int(np.argmin(result.losses)), float(result.seconds[-1]))
+    best, seconds = int(np.argmin(result.losses)), float(result.seconds[-1])
+    return LearnedPlan(planned, cost, result.psi, result.losses, best, seconds)
