@@ -121,6 +121,8 @@ def test_the_posterior_is_the_inverse_of_information_and_prior():
     row = np.arange(10.0)
     halved = np.sqrt(row @ expected @ row) < 0.5 * np.linalg.norm(row * spread)
     assert found.determined(row) == [halved]
+    units = 10.0 ** np.linspace(-12, 12, 10)  # of a spread that is none the worse for them
+    identify(case.problem, [case.demonstration], case.psi, np.diag(units), noise=0.02)
     width = np.ptp(found.credible_intervals(0.9, row))
     np.testing.assert_allclose(width, 2 * 1.6448536 * np.sqrt(row @ expected @ row), rtol=1e-6)
 

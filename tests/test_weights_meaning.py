@@ -16,8 +16,9 @@ from reproduction.checklist import ROWS, Row, verdict
 from reproduction.identification import averages, identified, weight_slopes
 from reproduction.outcome import Claim, settled
 
-from kpirl_ocp import MLP, RBF, Descent, KeypointCost, NetworkDynamics
+from kpirl_ocp import Descent
 from kpirl_ocp.irl.visual.learning import COSTS, InnerLoop, learn_implicit, learn_unrolled
+from kpirl_ocp.ocp.models import MLP, RBF, KeypointCost, NetworkDynamics
 from kpirl_ocp.types import Demonstration
 
 T, K, N_Q = 10, 2, 3

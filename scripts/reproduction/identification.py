@@ -77,5 +77,7 @@ def averages(basis: Array, n_z: int) -> Array:
 
 
 def weight_slopes(positivity: str, psi: Array) -> Array:
-    """g'(psi) (n_psi,) of the map from parameters to weights."""
-    return {"identity": np.ones_like(psi), "softplus": 1 / (1 + np.exp(-psi))}[positivity]
+    """g'(psi) (n_psi,) of the map from parameters to weights; not below 1e-9, for weights that are zero to rounding."""
+    with np.errstate(over="ignore"):
+        slopes = {"identity": np.ones_like(psi), "softplus": 1 / (1 + np.exp(-psi))}[positivity]
+    return np.maximum(slopes, 1e-9)

@@ -183,7 +183,7 @@ def _spread(spread: ArrayLike, n: int) -> Array:
     given = np.asarray(spread, float)
     S = given if given.ndim == 2 else np.diag(np.broadcast_to(given, (n,)))
     fits = S.shape == (n, n) and bool(np.isfinite(S).all()) and (given.ndim == 2 or bool((given > 0).all()))
-    if not fits or np.linalg.matrix_rank(S) < n:
+    if not fits or np.linalg.matrix_rank(S / np.linalg.norm(S, axis=1, keepdims=True)) < n:  # in whatever units
         raise ProblemError(f"spread must be positive, a number or ({n},), or an invertible ({n}, {n}); got {spread!r}.")
     return S
 
