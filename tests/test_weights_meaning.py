@@ -55,6 +55,7 @@ def test_a_keypoint_that_no_action_moves_keeps_its_starting_weight_exactly(cost,
     assert not found["determined"][:, -2:].any()
     assert found["determined"][0, :-2].any()
     np.testing.assert_array_equal(found["gains"][-2:], 0.0)
+    assert (found["axis_halfwidths"] < found["halfwidths"][0].reshape(-1, 2).max(axis=0)).all()
 
 
 def test_a_static_keypoint_leaves_the_others_as_they_are(dynamics):

@@ -33,7 +33,8 @@ def identified(
     """Intervals and known directions of a cost that was learned by its IRL loss and has no parameters but weights.
 
     halfwidths, determined: (3, n_z) of 90 % intervals of weights averaged over all, the first and the last steps, and
-    whether the data determine them. gains: (n_z,) squared. known, known_in_stiffness: directions, in either unit.
+    whether the data determine them; axis_halfwidths, axes_determined: (2,) of x and y in the mean over time and
+    keypoints. gains: (n_z,) squared. known, known_in_stiffness: directions, in either unit.
     """
     converged = learned.cost.solver is CONVERGED
     horizon, n_z = horizon_of(demonstrations), dynamics.n_z
@@ -52,10 +53,13 @@ def identified(
     even = unit.copy()
     even[moving] = np.exp(np.log(unit[moving] * stiff[moving]).mean()) / stiff[moving]
     compared = replace(found, spread=even[:, None] * together)
-    widths = np.ptp(found.credible_intervals(LEVEL, rows), axis=1) / 2
+    axes = np.array([rows[axis:n_z:2].mean(axis=0) for axis in (0, 1)])
+    widths, along = (np.ptp(found.credible_intervals(LEVEL, some), axis=1) / 2 for some in (rows, axes))
     return {
         "halfwidths": widths.reshape(3, n_z),
         "determined": found.determined(rows).reshape(3, n_z),
+        "axis_halfwidths": along,
+        "axes_determined": found.determined(axes),
         "gains": gains.mean(axis=0),
         "known": found.known(),
         "known_in_stiffness": compared.known(),

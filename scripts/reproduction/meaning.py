@@ -63,14 +63,36 @@ def known(page: Page, runs: Runs, title: str) -> None:
             share = np.mean([run[0] for run in runs(contender, "determined")], axis=0) > 0.5
             below = f"{100 * np.mean([np.mean(w < 0) for w in runs(contender, 'weights')]):.0f} %"
             first = [f"{contender.cost}, {name}", int(parameters[0]), *counts, f"{noise:.3f}", below]
-            rows.append([*first, _sentence(share)])
+            rows.append([*first, *_axis_intervals(runs, contender), _sentence(share)])
     known = ("known directions", "in units of stiffness")
-    header = [title, "parameters", *known, "noise", "negative weights", "mean over time"]
+    header = [
+        title,
+        "parameters",
+        *known,
+        "noise",
+        "negative weights",
+        "x, all keypoints",
+        "y, all keypoints",
+        "of single keypoints",
+    ]
     note = (
         "Mean over seeds. A direction is known when the data confine it to less than a weight of one (or its "
-        "stiffness); noise in image half-widths, misfit included. The other directions kept their start."
+        "stiffness); noise in image half-widths, misfit included. The other directions kept their start. Weights are "
+        "means over time with 90 % intervals, in brackets where the data do not determine them."
     )
     page.table(header, rows, note)
+
+
+def _axis_intervals(runs: Runs, contender: Contender) -> list[str]:
+    """Mean weight of x and of y over keypoints and time, with its interval."""
+    cells = []
+    for axis in (0, 1):
+        value = np.mean([w[:, axis::2].mean() for w in runs(contender, "weights")])
+        reach = np.mean([run[axis] for run in runs(contender, "axis_halfwidths")])
+        known = np.mean([run[axis] for run in runs(contender, "axes_determined")]) > 0.5
+        text = f"{value:.3g} ± {reach:.2g}"
+        cells.append(text if known else f"({text})")
+    return cells
 
 
 def _sentence(determined: Array) -> str:
