@@ -22,6 +22,7 @@ TINY = {
     "simulation_study.py": ["--seeds", "0", "--tasks", "placing", "--iterations", "3", "--tests", "1", "--jobs", "1"],
     "benchmark.py": ["--preset", "tiny"],
     "visual_demo.py": ["--iterations", "3"],
+    "handwriting.py": ["--shapes", "Line", "--held-out", "1", "--steps", "3"],
     "identifiability.py": [
         *("--simulated", "5", "--design-repetitions", "1", "--demonstrations", "2", "--places", "5"),
     ],
