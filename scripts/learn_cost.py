@@ -122,7 +122,9 @@ def main() -> None:
     start = configure(args, episodes[0].horizon, demonstrations[0].observations.shape[1])
     problem = start.problem(robot)
     method = Unrolled(start.solver) if isinstance(start.solver, GradientDescent) else Implicit(start.solver)
-    result = learn(problem, demonstrations[: args.train], start.psi, method, optimiser(args), args.steps)
+    known = out / "learning.npz"  # from which the same command goes on if it was interrupted
+    train = demonstrations[: args.train]
+    result = learn(problem, train, start.psi, method, optimiser(args), args.steps, checkpoint=known)
     learned = LearnedCost(start.cost, result.psi, start.horizon, start.solver)
     learned.write(out / "cost.json")
 
@@ -141,6 +143,10 @@ def main() -> None:
     print(f"\ncost:    {out / 'cost.json'}\nnumbers: {write_metrics(out, vars(args), results)}")
     for path in draw(robot, learned, result, plans, episodes[0], out):
         print(f"figure:  {path}")
+    if result.interrupted:
+        print(f"interrupted after {len(result.losses) - 1} of {args.steps} outer iterations; the same command goes on.")
+    else:
+        known.unlink()
 
 
 if __name__ == "__main__":

@@ -75,6 +75,7 @@ def test_every_cost_can_be_learned_by_every_method(method, cost, inputs, tmp_pat
     assert result.returncode == 0, result.stderr
     losses = json.loads((tmp_path / "metrics.json").read_text())["results"]["training_losses"]
     assert min(losses) < losses[0]
+    assert not (tmp_path / "learning.npz").exists()  # the checkpoint of a learning that has not ended
 
 
 def test_a_cost_can_be_learned_from_two_demonstrations_and_needs_one_more_for_testing(inputs, tmp_path):
