@@ -19,7 +19,10 @@ from kpirl_ocp.cli.parser import Parser, build_parser, write_config
 from kpirl_ocp.errors import KpirlError, OptionError, suggestion
 from kpirl_ocp.version import __version__
 
-COMMANDS = ("solve",)
+COMMANDS = (
+    "solve",
+    "learn-video",
+)
 USAGE = """usage: kpirl COMMAND [OPTIONS]
 
 Learn a cost over keypoints from demonstrations, and plan with it.

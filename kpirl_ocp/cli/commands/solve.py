@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from kpirl_ocp import figures
 from kpirl_ocp.cli.options.solve import ARM
 from kpirl_ocp.errors import OptionError
+from kpirl_ocp.irl.cases.cost_files import robot_called
 from kpirl_ocp.irl.cases.own import load_own
 from kpirl_ocp.ocp.models.keypoint_costs import Default, KeypointCost
 from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state
@@ -35,15 +36,6 @@ def main(args: Namespace) -> int:
     return 0 if solution.status.ok else 1
 
 
-def robot_called(name: str, tool: str | None = None) -> Robot:
-    """The iiwa, a robot of example-robot-data, or that of a file; with the object at its tool."""
-    keypoints = () if tool is None else held_object(tool)
-    if name == "iiwa":
-        return Robot.iiwa(keypoints)
-    build = Robot.from_urdf if "." in name or "/" in name else Robot.from_example_data
-    return build(name, keypoints)
-
-
 def solver_of(args: Namespace) -> Solver:
     """The solver that --solver names."""
     if args.solver == "gradient":
@@ -62,7 +54,7 @@ def bent_posture(robot: Robot) -> Array:
 
 def _solve_arm(args: Namespace) -> tuple[Solution, list[tuple[str, object]], Path]:
     vars(args).update({name: value for name, value in ARM.items() if getattr(args, name) is None})
-    robot = robot_called(args.robot, args.tool)
+    robot = robot_called(args.robot, () if args.tool is None else held_object(args.tool))
     problem = keypoint_ocp(
         robot,
         KeypointCost(Default(), effort=args.effort),

@@ -1,6 +1,6 @@
 """Example problems, the tasks of the paper, a user's own problem, and files of learned costs."""
 
-from kpirl_ocp.irl.cases.cost_files import BASES, LearnedCost, make_basis
+from kpirl_ocp.irl.cases.cost_files import BASES, ArmSetting, LearnedCost, make_basis, robot_called
 from kpirl_ocp.irl.cases.examples import CASES, Case, converging_descent, unconstrained
 from kpirl_ocp.irl.cases.network_cases import NetworkCase, network_case, placing_case
 from kpirl_ocp.irl.cases.own import OwnProblem, load_own
@@ -13,6 +13,7 @@ __all__ = [
     "CASES",
     "HORIZON",
     "TASKS",
+    "ArmSetting",
     "Case",
     "LearnedCost",
     "NetworkCase",
@@ -25,6 +26,7 @@ __all__ = [
     "network_case",
     "placing_case",
     "planar_dynamics",
+    "robot_called",
     "two_link_arm",
     "unconstrained",
     "without_joints",

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from kpirl_ocp.errors import FileError
 from kpirl_ocp.ocp.models.keypoint_costs import RBF, Basis, Default, KeypointCost, TimeDependent, Weighted
-from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp
-from kpirl_ocp.ocp.models.robot import Robot
+from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state
+from kpirl_ocp.ocp.models.pinhole import Pinhole
+from kpirl_ocp.ocp.models.robot import Keypoint, Robot
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
@@ -22,22 +24,78 @@ BASES: dict[str, type] = {"weighted": Weighted, "time": TimeDependent, "rbf": RB
 SOLVERS: dict[str, type] = {"gradient_descent": GradientDescent, "riccati": Riccati, "ipopt": Ipopt}
 
 
-@dataclass(frozen=True)
+def robot_called(name: str, keypoints: tuple[Keypoint, ...] = ()) -> Robot:
+    """The iiwa, a robot of example-robot-data, or that of a .urdf file."""
+    if name == "iiwa":
+        return Robot.iiwa(keypoints)
+    own = "." in name or "/" in name
+    return Robot.from_urdf(name, keypoints) if own else Robot.from_example_data(name, keypoints)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSetting:
+    """The arm, and its keypoints as the cost sees them.
+
+    robot: "iiwa", a name of example-robot-data, or the path of a URDF. keypoints: on it; () for its own three.
+    unit: of a keypoint coordinate [m], or [pixels] with a camera. camera: that sees them; None for points in space.
+    joint_limits: theta keeps to those of the URDF. max_displacement: |u| per step and joint [rad].
+    """
+
+    robot: str = "iiwa"
+    keypoints: tuple[Keypoint, ...] = ()
+    unit: float = 1.0
+    camera: Pinhole | None = None
+    joint_limits: bool = True
+    max_displacement: float = np.inf
+
+    def build(self) -> Robot:
+        """The robot with its keypoints. Raises RobotError if there is none of that name."""
+        return robot_called(self.robot, self.keypoints)
+
+    def problem(self, robot: Robot, cost: KeypointCost, horizon: int) -> OCP:
+        """Plan with a cost over T steps."""
+        return keypoint_ocp(
+            robot,
+            cost,
+            horizon,
+            unit=self.unit,
+            camera=self.camera,
+            joint_limits=self.joint_limits,
+            max_displacement=self.max_displacement,
+        )
+
+    def state(self, robot: Robot, theta: Array) -> Array:
+        """The state (n_s,) of the arm at rest at theta (n_joints,) [rad]."""
+        return keypoint_state(robot, theta, self.unit, self.camera)
+
+
+@dataclass(frozen=True, eq=False)
 class LearnedCost:
     """A keypoint cost with its parameters, and the inner solver it was learned for.
 
     psi: (n_psi,). horizon: T. solver: of gradient descent, steps and step size are part of the learned cost.
+    setting: the arm it was learned with. start: (n_joints,) joint positions at the start of the demonstration [rad].
+    displacement: (n_z,) from the keypoints there to the goal. Both are empty if the goal comes from elsewhere.
+    rate: [Hz] of the steps in the demonstration; 0 if it is unknown.
     """
 
     cost: KeypointCost
     psi: Array
     horizon: int
     solver: GradientDescent | Riccati | Ipopt
+    setting: ArmSetting = field(default_factory=ArmSetting)
+    start: Array = field(default_factory=lambda: np.zeros(0))
+    displacement: Array = field(default_factory=lambda: np.zeros(0))
+    rate: float = 0.0
 
     def problem(self, robot: Robot) -> OCP:
         """The planning problem of this cost; without constraints if the solver is gradient descent."""
-        problem = keypoint_ocp(robot, self.cost, self.horizon)
+        problem = self.setting.problem(robot, self.cost, self.horizon)
         return problem.unconstrained() if isinstance(self.solver, GradientDescent) else problem
+
+    def goal(self, s0: Array) -> Array:
+        """z_goal (n_z,) of the learned displacement from a state s0 (n_s,)."""
+        return np.asarray(s0[: len(self.displacement)] + self.displacement, float)
 
     def write(self, path: Path) -> None:
         """Write the JSON file."""
@@ -49,6 +107,10 @@ class LearnedCost:
             "psi": self.psi.tolist(),
             "horizon": self.horizon,
             "solver": _name_of(SOLVERS, self.solver) | asdict(self.solver),
+            "arm": _setting_as_json(self.setting),
+            "start": self.start.tolist(),
+            "displacement": self.displacement.tolist(),
+            "rate": self.rate,
         }
         path.write_text(json.dumps(content, indent=2) + "\n")
 
@@ -68,8 +130,14 @@ class LearnedCost:
                 learn_effort=content["learn_effort"],
                 positivity=content["positivity"],
             )
-            psi, horizon = np.array(content["psi"], float), content["horizon"]
-            return cls(cost, psi, horizon, _build(SOLVERS, content["solver"]))
+            learned = cls(cost, np.array(content["psi"], float), content["horizon"], _build(SOLVERS, content["solver"]))
+            return replace(
+                learned,
+                setting=_setting_of_json(content.get("arm", {})),
+                start=np.array(content.get("start", ()), float),
+                displacement=np.array(content.get("displacement", ()), float),
+                rate=float(content.get("rate", 0.0)),
+            )
         except FileNotFoundError:
             raise FileError(f"{path} does not exist: learn a cost with scripts/learn_cost.py.") from None
         except (KeyError, TypeError, ValueError) as error:
@@ -79,6 +147,32 @@ class LearnedCost:
 def make_basis(name: str) -> Basis:
     """A basis by the name the scripts use."""
     return BASES[name]()
+
+
+def _setting_as_json(setting: ArmSetting) -> dict[str, Any]:
+    camera = setting.camera
+    names = ("intrinsics", "rotation", "translation")
+    return {
+        "robot": setting.robot,
+        "keypoints": [asdict(keypoint) for keypoint in setting.keypoints],
+        "unit": setting.unit,
+        "camera": None if camera is None else {name: getattr(camera, name).tolist() for name in names},
+        "joint_limits": setting.joint_limits,
+        "max_displacement": setting.max_displacement if np.isfinite(setting.max_displacement) else None,
+    }
+
+
+def _setting_of_json(content: dict[str, Any]) -> ArmSetting:
+    camera, most = content.get("camera"), content.get("max_displacement")
+    keypoints = [Keypoint(entry["link"], tuple(entry["position"])) for entry in content.get("keypoints", ())]
+    return ArmSetting(
+        robot=content.get("robot", "iiwa"),
+        keypoints=tuple(keypoints),
+        unit=content.get("unit", 1.0),
+        camera=None if camera is None else Pinhole(**camera),
+        joint_limits=content.get("joint_limits", True),
+        max_displacement=np.inf if most is None else most,
+    )
 
 
 def _name_of(kinds: dict[str, type], value: object) -> dict[str, object]:

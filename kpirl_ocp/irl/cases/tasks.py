@@ -18,7 +18,8 @@ import numpy as np
 from kpirl_ocp.episodes import Episode, write_episodes
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.motion import forward_then_down, minimum_jerk
-from kpirl_ocp.ocp.models.keypoint_problems import keypoint_state
+from kpirl_ocp.ocp.models.keypoint_problems import keypoint_state, visible_keypoints
+from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Robot
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.riccati import Riccati
@@ -81,12 +82,15 @@ def write_demonstrations(
     return episodes
 
 
-def tracking_problem(robot: Robot, horizon: int) -> OCP:
-    """Follow reference keypoints, the context (T 3K,), for t = 1..T, with a little effort to settle the null space."""
-    n_z, n_q = 3 * robot.n_keypoints, robot.n_joints
+def tracking_problem(robot: Robot, horizon: int, unit: float = 1.0, camera: Pinhole | None = None) -> OCP:
+    """Follow reference keypoints, the context (T n_z,), for t = 1..T, with a little effort to settle the null space.
+
+    unit, camera: as in `keypoint_ocp`.
+    """
+    n_z, n_q = (2 if camera else 3) * robot.n_keypoints, robot.n_joints
     theta, u = ca.SX.sym("theta", n_q), ca.SX.sym("u", n_q)
     reference, selector = ca.SX.sym("c", n_z * horizon), ca.SX.sym("d", horizon)
-    error = robot.keypoint_function(theta) - ca.reshape(reference, n_z, horizon) @ selector
+    error = visible_keypoints(robot, camera, theta) / unit - ca.reshape(reference, n_z, horizon) @ selector
     tracking = ca.sum1(selector) * ca.sumsqr(error)
     return OCP.from_expressions(
         state=theta,

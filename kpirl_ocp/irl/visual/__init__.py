@@ -1,5 +1,14 @@
 """Costs from visual demonstrations, and control behind a camera."""
 
+from kpirl_ocp.irl.visual.camera_learning import (
+    CameraLearning,
+    camera_demonstration,
+    check_reach,
+    held_points,
+    learn_in_image,
+    path_distance,
+    plan_from,
+)
 from kpirl_ocp.irl.visual.closed_loop import Execution, KeypointController, Plant
 from kpirl_ocp.irl.visual.demonstrations import (
     moving_keypoints,
@@ -22,6 +31,7 @@ from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
 __all__ = [
     "CONVERGED",
     "COSTS",
+    "CameraLearning",
     "Effort",
     "Execution",
     "InnerLoop",
@@ -29,10 +39,16 @@ __all__ = [
     "LearnedPlan",
     "PlanningCost",
     "Plant",
+    "camera_demonstration",
+    "check_reach",
+    "held_points",
     "learn_by_apprenticeship",
     "learn_implicit",
+    "learn_in_image",
     "learn_unrolled",
     "moving_keypoints",
+    "path_distance",
+    "plan_from",
     "planning_problem",
     "positions",
     "robot_demonstration",

@@ -5,6 +5,7 @@ from .keypoint_dynamics import NetworkDynamics
 from .keypoint_problems import keypoint_ocp, keypoint_state, network_ocp
 from .mlp import MLP
 from .onnx.load import load_onnx
+from .pinhole import Pinhole
 from .robot import Keypoint, Robot
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "Keypoint",
     "KeypointCost",
     "NetworkDynamics",
+    "Pinhole",
     "Robot",
     "TimeDependent",
     "Weighted",

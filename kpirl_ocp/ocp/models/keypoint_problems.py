@@ -18,6 +18,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost
 from kpirl_ocp.ocp.models.keypoint_dynamics import LinearisedNetwork, NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_passes import NetworkPasses
+from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Robot
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -31,28 +32,30 @@ def keypoint_ocp(
     horizon: int,
     *,
     unit: float = 1.0,
+    camera: Pinhole | None = None,
     joint_limits: bool = True,
     max_displacement: float = np.inf,
 ) -> OCP:
-    """Plan keypoints of an arm to the goal z_goal with ground-truth kinematics.
+    """Plan keypoints of an arm to the goal z_goal with ground-truth kinematics, in space or in a camera's image.
 
     Args:
         robot: with K keypoints.
         cost: of keypoints and actions.
         horizon: T, steps.
-        unit: length of one keypoint unit [m]; 0.01 gives keypoints in centimetres.
+        unit: length of one keypoint unit, in metres (0.01 gives keypoints in centimetres) or, with a camera, in pixels.
+        camera: keypoints are its pixels, x and y of each, and n_z = 2 K; without one n_z = 3 K.
         joint_limits: bound theta by the limits of the URDF.
         max_displacement: largest |u| per step and joint [rad].
 
     Returns:
-        A problem with states (3 K + 2 n_joints,), actions (n_joints,) and the context z_goal (3 K,).
+        A problem with states (n_z + 2 n_joints,), actions (n_joints,) and the context z_goal (n_z,).
 
     Raises:
         ProblemError: a unit or displacement that is not positive, or a cost that does not fit the horizon.
     """
     if not unit > 0 or not max_displacement > 0:
         raise ProblemError(f"unit and max_displacement must be positive, got {unit!r} and {max_displacement!r}.")
-    n_z, n_q = 3 * robot.n_keypoints, robot.n_joints
+    n_z, n_q = (2 if camera else 3) * robot.n_keypoints, robot.n_joints
     schedule = cost.schedule(horizon)
     state, action = ca.SX.sym("s", n_z + 2 * n_q), ca.SX.sym("u", n_q)
     psi = ca.SX.sym("psi", cost.n_parameters(horizon, n_z))
@@ -67,7 +70,7 @@ def keypoint_ocp(
         parameters=psi,
         context=goal,
         stage=stage,
-        dynamics=ca.vertcat(robot.keypoint_function(successor) / unit, successor, velocity),
+        dynamics=ca.vertcat(visible_keypoints(robot, camera, successor) / unit, successor, velocity),
         stage_cost=cost.stage_cost(z, action, psi, goal, stage),
         terminal_cost=cost.stage_cost(z, ca.SX.zeros(n_q), psi, goal, stage),
         observation=z,
@@ -125,16 +128,16 @@ def network_ocp(
     )
 
 
-def keypoint_state(robot: Robot, theta: ArrayLike, unit: float = 1.0) -> Array:
+def keypoint_state(robot: Robot, theta: ArrayLike, unit: float = 1.0, camera: Pinhole | None = None) -> Array:
     """The state of an arm at rest.
 
     Args:
         robot: with K keypoints.
         theta: joint positions (n_joints,) [rad].
-        unit: length of one keypoint unit [m].
+        unit, camera: as in `keypoint_ocp`.
 
     Returns:
-        (3 K + 2 n_joints,): keypoints [unit], theta, and velocities of zero.
+        (n_z + 2 n_joints,): keypoints [unit], theta, and velocities of zero.
 
     Raises:
         ProblemError: joint positions of another number, or not finite.
@@ -142,4 +145,11 @@ def keypoint_state(robot: Robot, theta: ArrayLike, unit: float = 1.0) -> Array:
     theta = np.asarray(theta, float)
     if theta.shape != (robot.n_joints,) or not np.isfinite(theta).all():
         raise ProblemError(f"theta must be {robot.n_joints} finite joint positions, got {theta!r}.")
-    return np.concatenate([robot.locate(theta).ravel() / unit, theta, np.zeros(robot.n_joints)])
+    keypoints = np.array(visible_keypoints(robot, camera, ca.DM(theta))).ravel()
+    return np.concatenate([keypoints / unit, theta, np.zeros(robot.n_joints)])
+
+
+def visible_keypoints(robot: Robot, camera: Pinhole | None, theta: ca.SX | ca.DM) -> ca.SX | ca.DM:
+    """Keypoints of an arm at theta (n_joints,) [rad]: in space (3 K,) [m], or in a camera's image (2 K,) [pixels]."""
+    points = robot.keypoint_function(theta)
+    return points if camera is None else camera.project(points)

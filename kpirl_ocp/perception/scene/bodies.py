@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
 
-from kpirl_ocp.errors import RobotError
+from kpirl_ocp.errors import RobotError, SceneError
 
 BOTTLE, GRIPPER, FLANGE = "bottle", "gripper", "lbr_iiwa_link_7"
 
@@ -64,18 +64,44 @@ def iiwa_with_meshes() -> Path:
     return Path(spec.origin).parent / "kuka_iiwa" / "model.urdf"
 
 
-def write_arm_with_bottle(directory: Path) -> Path:
-    """Write the URDF of the iiwa that holds the bottle: links `gripper` and `bottle` fixed to its flange."""
-    source = iiwa_with_meshes()
+def write_arm_with_bottle(directory: Path, urdf: Path | None = None, link: str = FLANGE) -> Path:
+    """Write the URDF of an arm that holds the bottle: links `gripper` and `bottle` fixed to its flange.
+
+    Args:
+        urdf: of the arm; None for the iiwa.
+        link: its flange, whose z axis points out of the arm.
+
+    Raises:
+        SceneError: the arm has no such link, or a mesh of it is missing.
+    """
+    source = iiwa_with_meshes() if urdf is None else urdf
     tree = ET.parse(source)
     robot = tree.getroot()
+    if link not in [entry.get("name") for entry in robot.iter("link")]:
+        raise SceneError(f"the arm of {source} has no link {link!r} to hold the bottle.")
+    for entry in robot.iter("link"):
+        for collision in entry.findall("collision"):  # nothing collides
+            entry.remove(collision)
     for mesh in robot.iter("mesh"):
-        mesh.set("filename", str(source.parent / mesh.attrib["filename"]))
-    _append(robot, GRIPPER, GRIPPER_SHAPES, FLANGE, (0.0, 0.0, 0.045), (0.0, 0.0, 0.0), mass=0.3)
-    _append(robot, BOTTLE, BOTTLE_SHAPES, FLANGE, (0.0, 0.0, 0.115), (0.0, -_QUARTER, 0.0), mass=0.4)
-    path = directory / "iiwa_with_bottle.urdf"
+        mesh.set("filename", str(_mesh(source, mesh.attrib["filename"])))
+    _append(robot, GRIPPER, GRIPPER_SHAPES, link, (0.0, 0.0, 0.045), (0.0, 0.0, 0.0), mass=0.3)
+    _append(robot, BOTTLE, BOTTLE_SHAPES, link, (0.0, 0.0, 0.115), (0.0, -_QUARTER, 0.0), mass=0.4)
+    path = directory / "arm_with_bottle.urdf"
     tree.write(path)
     return path
+
+
+def _mesh(urdf: Path, name: str) -> Path:
+    """The file of a mesh, by a path relative to the URDF or by package://PACKAGE/PATH with the package above it.
+
+    Raises SceneError if there is no such file.
+    """
+    bare = name.removeprefix("file://").removeprefix("package://")
+    places = [urdf.parent, *urdf.resolve().parents] if name.startswith("package://") else [urdf.parent]
+    found = next((place / bare for place in places if (place / bare).is_file()), None)
+    if found is None:
+        raise SceneError(f"{urdf} draws the mesh {name}, which is not there.")
+    return found
 
 
 def write_hand_with_bottle(directory: Path) -> Path:

@@ -7,12 +7,13 @@ period, with limited gain and velocity, so that the executed motion falls short 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import SceneError
-from kpirl_ocp.perception.scene.bodies import BOTTLE, write_arm_with_bottle
+from kpirl_ocp.perception.scene.bodies import BOTTLE, FLANGE, write_arm_with_bottle
 from kpirl_ocp.perception.scene.bullet import pybullet
 from kpirl_ocp.perception.scene.frame import Frame
 from kpirl_ocp.perception.scene.world import World
@@ -48,10 +49,15 @@ class Scene(World):
     """The simulated robot; use it in a `with` block. The same commands give the same motion and frames.
 
     rate: [Hz] of `step`; a divisor of 240.
+    arm: URDF of the arm, None for the iiwa. flange: its link that holds the bottle.
+    joints: names of the joints that move, in the order of theta; None for all.
     """
 
     motors: Motors = field(default_factory=Motors)
     rate: int = 5
+    arm: Path | None = None
+    flange: str = FLANGE
+    joints: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.rate < 1 or _PHYSICS_RATE % self.rate:
@@ -61,14 +67,17 @@ class Scene(World):
         super().__enter__()
         self._client.setGravity(0.0, 0.0, -9.81)
         self._client.setTimeStep(1 / _PHYSICS_RATE)
-        self.urdf = write_arm_with_bottle(self._directory)
+        self.urdf = write_arm_with_bottle(self._directory, self.arm, self.flange)
         self._arm = self._load(self.urdf)
         infos = [self._client.getJointInfo(self._arm, i) for i in range(self._client.getNumJoints(self._arm))]
         self._links = {info[12].decode(): info[0] for info in infos}
-        moving = [info for info in infos if info[2] == pybullet.JOINT_REVOLUTE]
-        self._joints = [info[0] for info in moving]
-        self.joint_limits = np.array([info[8] for info in moving]), np.array([info[9] for info in moving])
-        self.reset(np.zeros(len(moving)))
+        moving = {i[1].decode(): i for i in infos if i[2] in (pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC)}
+        chosen = [moving[name] for name in self.joints] if self.joints else list(moving.values())
+        self._joints = [info[0] for info in chosen]
+        lower, upper = (np.array([info[side] for info in chosen]) for side in (8, 9))
+        endless = lower > upper  # a continuous joint
+        self.joint_limits = np.where(endless, -np.inf, lower), np.where(endless, np.inf, upper)
+        self.reset(np.clip(np.zeros(len(chosen)), *self.joint_limits))
         return self
 
     def reset(self, theta: ArrayLike) -> JointState:

@@ -32,14 +32,17 @@ class World:
     """A PyBullet world without a window, with table, shelf and one camera; use it in a `with` block.
 
     Several may be open at once. The furniture is visible, but nothing collides with it.
+
+    shelf: whether it is there.
     """
 
     camera: Camera = field(default_factory=Camera)
+    shelf: bool = True
 
     def __enter__(self: W) -> W:
         self._directory = Path(tempfile.mkdtemp(prefix="kpirl_ocp-"))
         self._client = connect()
-        for half, centre, colour in _FURNITURE:
+        for half, centre, colour in _FURNITURE if self.shelf else _FURNITURE[:1]:
             visual = self._client.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, rgbaColor=(*colour, 1.0))
             self._client.createMultiBody(baseMass=0, baseVisualShapeIndex=visual, basePosition=centre)
         return self

@@ -33,6 +33,12 @@ def overlay(image: Frames, trails: Array, confidence: Array | None = None) -> Fr
     return canvas
 
 
+def zoomed(image: Frames, factor: float) -> Frames:
+    """The image (H, W, 3), `factor` times as large."""
+    height, width = image.shape[:2]
+    return np.asarray(cv2.resize(image, (round(factor * width), round(factor * height))), np.uint8)
+
+
 def overlays(frames: Iterable[tuple[float, Frames]], tracks: Tracks) -> Iterator[Frames]:
     """The frames of the tracks, one by one, with the paths drawn into them."""
     for index, (_, image) in zip(range(len(tracks.times)), frames, strict=False):

@@ -1,0 +1,119 @@
+"""Learn from a film what mattered, and do it with an arm."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from kpirl_ocp.cli.imitation.arm import BOTTLE_LENGTH, Arm, Scale, arm_for, other_starts
+from kpirl_ocp.cli.imitation.drawing import draw_learning, draw_paths, side_by_side
+from kpirl_ocp.cli.imitation.execution import Executed, execute
+from kpirl_ocp.errors import DemonstrationError, OptionError
+from kpirl_ocp.irl.cases.cost_files import LearnedCost
+from kpirl_ocp.irl.visual.camera_learning import camera_demonstration, check_reach, learn_in_image
+from kpirl_ocp.ocp.export.folder import export_c
+from kpirl_ocp.perception.detector.film_tracks import detector_tracks
+from kpirl_ocp.perception.tracking.admission import moving_part, refusal
+from kpirl_ocp.perception.tracking.pictures import evenly, track_film, track_sheet
+from kpirl_ocp.perception.tracking.tracks import Tracks, read_tracks, write_tracks
+from kpirl_ocp.perception.tracking.watch import Film, extent, find_object, follow_object
+from kpirl_ocp.reporting import table, write_metrics
+from kpirl_ocp.types import Array
+
+_SHOWN = 8  # frames of the contact sheet
+
+
+def main(args: Namespace) -> int:
+    """Watch, learn, plan, execute; 1 if an execution stays more than a tenth of the way from the demonstration."""
+    film = Film(args.film, args.source_rate if args.film.is_dir() else None, args.start, args.end or np.inf)
+    tracks, length = _watch(args, film)
+    print(f"sheet:   {track_sheet(args.out / 'tracks.png', film.frames(), tracks, evenly(_SHOWN, len(tracks.times)))}")
+    print(f"tracks:  {track_film(args.out / 'tracks.mp4', film.frames(), tracks)}")
+    _admit(args.out, film, tracks)
+    shown, part = _part(film, tracks)
+    steps = part.at_rate(args.steps / float(part.times[-1]))
+    scale = Scale(args.scale, args.object_size or BOTTLE_LENGTH, length)
+    arm, way = arm_for(args.robot, args.flange, steps.positions, scale)
+    learned = _learn(args, arm, way, args.steps / float(part.times[-1]))
+    runs = [execute(arm, learned, way, start) for start in other_starts(arm, args.starts, args.seed)]
+    _report(args, learned, runs)
+    print(f"figure:  {draw_paths(args.out / 'paths.png', runs)}")
+    print(f"film:    {side_by_side(args.out / 'imitation.mp4', shown, part, runs[0])}")
+    if args.export:
+        print(f"C:       {_export(args.out / 'c', learned, arm)}")
+    return 0 if all(run.reached < 0.1 for run in runs) else 1
+
+
+def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:
+    """Tracks of the demonstration, written to OUT, and the length of the object [pixels] where it is known."""
+    length = None
+    if args.tracks:
+        tracks = read_tracks(args.tracks, rate=args.source_rate, size=film.first().shape[1::-1])
+        tracks = tracks.between(film.start, min(film.end, float(tracks.times[-1])))
+    elif args.detector:
+        tracks = detector_tracks(film, args.detector)
+    else:
+        mask = find_object(film, args.box, args.points)
+        length = extent(mask)
+        tracks = follow_object(film, mask)
+    write_tracks(args.out / "tracks.npz", tracks)
+    return tracks, length
+
+
+def _admit(out: Path, film: Film, tracks: Tracks) -> None:
+    """Raise DemonstrationError, with the picture that shows why, if there is nothing to learn from."""
+    found = refusal(tracks)
+    if found is not None:
+        picture = track_sheet(out / "refused.png", film.frames(), tracks, found.frames)
+        raise DemonstrationError(f"{found.reason} See {picture}.")
+
+
+def _part(film: Film, tracks: Tracks) -> tuple[Film, Tracks]:
+    """The part of the film in which something moves."""
+    start, end = moving_part(tracks)
+    return replace(film, start=film.start + start, end=film.start + end), tracks.between(start, end)
+
+
+def _learn(args: Namespace, arm: Arm, way: Array, rate: float) -> LearnedCost:
+    """The cost, written to OUT, or that of --cost."""
+    demonstration = camera_demonstration(arm.setting, arm.robot, arm.start, way)
+    check_reach(arm.setting, arm.robot, demonstration)
+    if args.cost:
+        return _reuse(args.cost, arm, way)
+    learning = learn_in_image(arm.setting, arm.robot, demonstration, rate, args.iterations)
+    learning.cost.write(args.out / "cost.json")
+    print(f"\nIRL {learning.history}; the plan stays {learning.distance:.1%} of the way from the demonstration")
+    print(f"cost:    {args.out / 'cost.json'}\nfigure:  {draw_learning(args.out / 'learning.png', learning)}")
+    return learning.cost
+
+
+def _reuse(path: Path, arm: Arm, way: Array) -> LearnedCost:
+    """A cost of another film, for the goal of this one. Raises OptionError if it does not fit."""
+    learned = LearnedCost.read(path)
+    if learned.setting.camera is None or learned.horizon != len(way) - 1 or learned.displacement.size != way[0].size:
+        needed = f"{way.shape[1]} keypoints in a camera's image, T = {len(way) - 1}"
+        raise OptionError(f"--cost: {path} is for other keypoints or steps; this film needs {needed}")
+    if learned.setting.robot != arm.name:
+        raise OptionError(f"--cost: {path} is for the robot {learned.setting.robot!r}, not {arm.name!r}")
+    return replace(learned, setting=arm.setting, displacement=(way[-1] - way[0]).ravel() / arm.setting.unit)
+
+
+def _report(args: Namespace, learned: LearnedCost, runs: list[Executed]) -> None:
+    rows = [[f"start {i + 1}", run.planned, run.reached, f"{run.rate} Hz"] for i, run in enumerate(runs)]
+    print("\n" + table(["relative distance to the path", "planned", "executed", "steps at"], rows) + "\n")
+    results = {
+        "planned": [run.planned for run in runs],
+        "executed": [run.reached for run in runs],
+        "rates": [run.rate for run in runs],
+        "demonstrated rate": learned.rate,
+    }
+    print(f"numbers: {write_metrics(args.out, vars(args), results)}")
+
+
+def _export(folder: Path, learned: LearnedCost, arm: Arm) -> Path:
+    s0 = learned.setting.state(arm.robot, arm.start)
+    example = [(s0, learned.goal(s0))]
+    return export_c(learned.problem(arm.robot), learned.solver, folder, psi=learned.psi, examples=example)

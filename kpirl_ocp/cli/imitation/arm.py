@@ -1,0 +1,179 @@
+"""The arm that repeats a demonstration: where it starts, and its keypoints as the scene's camera sees them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kpirl_ocp.cli.commands.solve import bent_posture
+from kpirl_ocp.errors import DemonstrationError, SceneError
+from kpirl_ocp.irl.cases.cost_files import ArmSetting, robot_called
+from kpirl_ocp.irl.visual.camera_learning import held_points
+from kpirl_ocp.ocp.models.pinhole import Pinhole
+from kpirl_ocp.ocp.models.robot import Keypoint, Robot
+from kpirl_ocp.ocp.models.robot_files import example_urdf
+from kpirl_ocp.perception.scene.bodies import BOTTLE, FLANGE
+from kpirl_ocp.perception.scene.camera import Camera
+from kpirl_ocp.perception.scene.posture import inverse_kinematics
+from kpirl_ocp.perception.scene.scene import Scene
+from kpirl_ocp.types import Array
+
+BOTTLE_LENGTH = 0.25  # [m]
+_WORKSPACE = np.array([[0.46, 0.40], [0.78, 0.80]])  # of the bottle in front of the iiwa, x and z [m]
+_VIEW = np.array([0.0, -1.45, 0.08])  # from the bottle to the camera of another arm than the iiwa [m]
+_MARGIN = 5.0  # keypoints stay this far inside the image [pixels]
+_AWAY = 0.08  # other starts from the first, and the first from joint limits, at most and at least [rad]
+_MOST = 0.3  # largest displacement of a joint in one step [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """An arm with the bottle, in front of a camera.
+
+    name: "iiwa", a name of example-robot-data, or the path of a URDF. flange: the link that holds the bottle.
+    start: (n_joints,) [rad]. camera: of the scene. robot: its keypoints are those of the demonstration.
+    """
+
+    name: str
+    flange: str
+    start: Array
+    camera: Camera
+    setting: ArmSetting
+    robot: Robot
+
+    def scene(self, rate: int = 5) -> Scene:
+        """The scene with this arm, to be used in a `with` block."""
+        return _scene(self.name, self.flange, self.robot, self.camera, rate)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Pixels of the arm's camera per pixel of the film: given, or from the length of the object.
+
+    given: the number itself; None to find it. length: of the object [m]. pixels: of the object in the film.
+    """
+
+    given: float | None
+    length: float
+    pixels: float | None
+
+    def at(self, focal: float, depth: float) -> float:
+        """The scale for a focal length [pixels] and a depth [m]. Raises DemonstrationError if nothing tells it."""
+        if self.given is not None:
+            return self.given
+        if self.pixels is None:
+            raise DemonstrationError("the tracks do not tell how large the object is: say the scale (--scale).")
+        return focal / depth * self.length / self.pixels
+
+
+def arm_for(name: str, flange: str | None, places: Array, scale: Scale) -> tuple[Arm, Array]:
+    """The arm, and the displacements (T+1, K, 2) [pixels of its camera] that it is to repeat.
+
+    Args:
+        name, flange: as in `Arm`; without a flange the arm's own tool holds the bottle.
+        places: (T+1, K, 2) keypoints in the film [pixels].
+
+    Raises:
+        RobotError, SceneError: there is no such arm, or it cannot hold the bottle.
+        DemonstrationError: the path leaves the image.
+    """
+    bare = robot_called(name)
+    link = flange or (FLANGE if name == "iiwa" else bare.keypoints[0].link)
+    camera, start = (Camera(), _middle()) if name == "iiwa" else _elsewhere(name, link, bare)
+    depth = _bottle(name, link, bare, camera, start)[2]
+    factor = scale.at(camera.intrinsics[0, 0], depth)
+    way = factor * (places - places[0])
+    if name == "iiwa":
+        start = _start_for(bare, camera, way)
+    rotation, position, depth = _bottle(name, link, bare, camera, start)
+    pinhole = Pinhole(camera.intrinsics, *camera.extrinsics)
+    figure = factor * (places[0] - places[0].mean(axis=0))
+    held = held_points(pinhole, rotation, position, figure)
+    keypoints = _on_flange(name, link, bare, start, rotation, position, held)
+    setting = ArmSetting(name, keypoints, camera.height / 2, pinhole, max_displacement=_MOST)
+    pixels = camera.project(position) + figure + way
+    _check_view(pixels, camera)
+    return Arm(name, link, start, camera, setting, setting.build()), way
+
+
+def other_starts(arm: Arm, count: int, seed: int) -> list[Array]:
+    """The arm's start (n_joints,) and count - 1 others, up to 0.08 rad away in each joint and within its limits."""
+    rng = np.random.default_rng(seed)
+    lower, upper = arm.robot.joint_limits
+    away = rng.uniform(-_AWAY, _AWAY, (count - 1, arm.robot.n_joints))
+    return [arm.start, *(np.clip(arm.start + offset, lower + 1e-6, upper - 1e-6) for offset in away)]
+
+
+def _scene(name: str, flange: str, robot: Robot, camera: Camera, rate: int = 5) -> Scene:
+    pairs = list(zip(robot.model.names, robot.model.joints, strict=True))[1:]  # without the universe
+    joints = tuple(name for name, joint in pairs if joint.nv == 1)
+    return Scene(camera=camera, shelf=False, rate=rate, arm=_urdf(name), flange=flange, joints=joints)
+
+
+def _urdf(name: str) -> Path | None:
+    if name == "iiwa":
+        return None
+    return Path(name) if "." in name or "/" in name else example_urdf(name)
+
+
+def _bottle(name: str, flange: str, robot: Robot, camera: Camera, theta: Array) -> tuple[Array, Array, float]:
+    """Rotation (3, 3) and position (3,) [m] of the bottle, and its depth before the camera [m]."""
+    with _scene(name, flange, robot, camera) as scene:
+        scene.reset(theta)
+        rotation, position = scene.link_pose(BOTTLE)
+    turn, shift = camera.extrinsics
+    return rotation, position, float((turn @ position + shift)[2])
+
+
+def _on_flange(
+    name: str, flange: str, robot: Robot, theta: Array, rotation: Array, position: Array, held: Array
+) -> tuple[Keypoint, ...]:
+    """Points (K, 3) of the bottle's frame as keypoints of the link that holds it."""
+    world = held @ rotation.T + position
+    turn, shift = (np.array(value) for value in robot.link_function(flange)(theta))
+    local = (world - shift.ravel()) @ turn
+    return tuple(Keypoint(flange, (x, y, z)) for x, y, z in local.tolist())
+
+
+def _middle() -> Array:
+    x, z = _WORKSPACE.mean(axis=0)
+    return inverse_kinematics(x, z)
+
+
+def _start_for(iiwa: Robot, camera: Camera, way: Array) -> Array:
+    """Joints (7,) [rad] of the iiwa from which the way (T+1, K, 2) [pixels] lies in the middle of its workspace.
+
+    A place too near for its joint limits is moved away. Raises SceneError if that does not help.
+    """
+    per_pixel = np.linalg.norm(camera.in_plane([1.0, 0.0]) - camera.in_plane([0.0, 0.0]))
+    path = way.mean(axis=1) * [per_pixel, -per_pixel]
+    centre = (path.min(axis=0) + path.max(axis=0)) / 2
+    x, z = np.clip(_WORKSPACE.mean(axis=0) - centre, *_WORKSPACE)
+    lower, upper = iiwa.joint_limits
+    for farther in np.arange(0.0, 0.3, 0.01):
+        theta = inverse_kinematics(float(x + farther), float(z))
+        if ((theta > lower + _AWAY) & (theta < upper - _AWAY)).all():
+            return theta
+    raise SceneError(f"the iiwa cannot hold the bottle at x = {x:.2f} m, z = {z:.2f} m, nor farther away.")
+
+
+def _elsewhere(name: str, flange: str, robot: Robot) -> tuple[Camera, Array]:
+    """A camera beside the bottle of another arm, and a bent posture."""
+    start = bent_posture(robot)
+    with _scene(name, flange, robot, Camera()) as scene:
+        scene.reset(start)
+        _, position = scene.link_pose(BOTTLE)
+    eye, target = (tuple(map(float, place)) for place in (position + _VIEW, position))
+    return Camera(eye=eye, target=target), start  # type: ignore[arg-type]
+
+
+def _check_view(pixels: Array, camera: Camera) -> None:
+    size = np.array([camera.width, camera.height])
+    if (pixels < _MARGIN).any() or (pixels > size - _MARGIN).any():
+        span = np.ptp(pixels.reshape(-1, 2), axis=0).max()
+        raise DemonstrationError(
+            f"scaled, the path spans {span:.0f} of the {camera.width} pixels of the arm's camera and leaves its image: "
+            f"choose a smaller scale (--scale, or a smaller --object-size)."
+        )

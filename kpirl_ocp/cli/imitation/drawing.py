@@ -1,0 +1,68 @@
+"""Figures of an imitation: the paths, the learned weights, and a film of the person beside the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from kpirl_ocp import figures
+from kpirl_ocp.cli.imitation.execution import Executed
+from kpirl_ocp.irl.visual.camera_learning import CameraLearning
+from kpirl_ocp.perception.data.encoding import write_video
+from kpirl_ocp.perception.data.video import Frames, sampled
+from kpirl_ocp.perception.tracking.pictures import overlay, zoomed
+from kpirl_ocp.perception.tracking.tracks import Tracks
+from kpirl_ocp.perception.tracking.watch import Film
+from kpirl_ocp.types import Array
+
+
+def draw_paths(path: Path, runs: list[Executed]) -> Path:
+    """The demonstrated paths, dashed, and those of the arm's keypoints, in its image; one panel per start."""
+    figure, axes = figures.new_figure(1, len(runs), height=4.0)
+    for number, (axis, run) in enumerate(zip(axes, runs, strict=True)):
+        size = run.images.shape[2], run.images.shape[1]
+        axis.imshow(run.images[-1], extent=(0, size[0], size[1], 0), alpha=0.6)
+        for index in range(run.keypoints.shape[1]):
+            colour = figures.COLOURS[index % len(figures.COLOURS)]
+            axis.plot(*run.wanted[:, index].T, "--", color=colour, linewidth=1)
+            axis.plot(*run.keypoints[:, index].T, ".-", color=colour, linewidth=1, markersize=4)
+        axis.plot([], [], "k--", label="demonstrated")
+        axis.plot([], [], "k.-", label="executed")
+        axis.set_title(f"start {number + 1}: {run.reached:.1%} off the path", fontsize=10)
+        axis.set(xlabel="x [pixels]", ylabel="y [pixels]")
+        axis.legend(fontsize=7)
+    return figures.save(figure, path)
+
+
+def draw_learning(path: Path, learning: CameraLearning) -> Path:
+    """Training loss and learned weights."""
+    figure, axes = figures.new_figure(1, 2)
+    _loss(axes[0], learning.history.losses)
+    weights, _ = learning.cost.cost.weights(learning.cost.psi, learning.cost.horizon, len(learning.cost.displacement))
+    figures.weights(axes[1], weights, "learned weights", dimensions=2)
+    return figures.save(figure, path)
+
+
+def _loss(axis: Axes, losses: Array) -> None:
+    axis.semilogy(losses, color=figures.COLOURS[0])
+    axis.set(xlabel="outer iteration", ylabel="IRL loss [(half images)²]", title="training loss")
+    axis.grid(alpha=0.3, which="both")
+
+
+def side_by_side(path: Path, film: Film, tracks: Tracks, run: Executed) -> Path:
+    """An .mp4 of the person with tracks, and of the robot with its keypoints, step by step."""
+    rate = len(run.images) / float(tracks.times[-1])
+    frames = [image for _, image in sampled(film.frames(), rate)]
+    steps = range(min(len(frames), len(run.images)))
+    return write_video(path, _pairs(frames, tracks, run, steps), rate=run.rate, codec="h264")
+
+
+def _pairs(frames: list[Frames], tracks: Tracks, run: Executed, steps: range) -> Iterator[Frames]:
+    places = tracks.at_rate(len(run.images) / float(tracks.times[-1]))
+    for step in steps:
+        person = overlay(frames[step], places.positions[: step + 1])
+        zoom = person.shape[0] / run.images.shape[1]
+        yield np.hstack([person, overlay(zoomed(run.images[step], zoom), zoom * run.keypoints[: step + 1])])

@@ -1,0 +1,79 @@
+"""A plan, executed in the scene: every step commands what is missing to the planned joint positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kpirl_ocp.cli.imitation.arm import Arm
+from kpirl_ocp.errors import SceneError
+from kpirl_ocp.irl.cases.cost_files import LearnedCost
+from kpirl_ocp.irl.visual.camera_learning import camera_demonstration, path_distance, plan_from
+from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.types import Array
+
+_RATES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 24, 30)  # [Hz] that the scene keeps
+_SPEED = 0.35  # of the fastest joint, so that the motors keep up [rad/s]
+
+
+@dataclass(frozen=True, eq=False)
+class Executed:
+    """One execution from one start.
+
+    keypoints, wanted: (T+1, K, 2) where the arm's keypoints came, and where the demonstration has them [pixels].
+    planned: path distance of the plan to the demonstration. reached: that of the execution. rate: [Hz] of the steps.
+    images: (T+1, H, W, 3) of the scene's camera.
+    """
+
+    keypoints: Array
+    wanted: Array
+    planned: float
+    reached: float
+    rate: int
+    images: Frames
+
+
+def execute(arm: Arm, learned: LearnedCost, way: Array, start: Array) -> Executed:
+    """Plan with the learned cost from a start (n_joints,) [rad], and follow the plan.
+
+    way: (T+1, K, 2) displacements of the demonstration [pixels].
+
+    Raises:
+        SolveError: there is no plan from this start.
+        SceneError: a step is too large for any rate of the scene.
+    """
+    setting, robot = learned.setting, arm.robot
+    demonstration = camera_demonstration(setting, robot, start, way)
+    n_z = demonstration.observations.shape[1]
+    plan = plan_from(learned, robot, start)
+    joints = plan.states[:, n_z : n_z + robot.n_joints]
+    rate = _rate_for(plan.actions)
+    with arm.scene(rate) as scene:
+        measured = scene.reset(start).positions
+        passed, images = [measured], [scene.render().rgb]
+        for target in joints[1:]:
+            measured = scene.step(target - measured).positions
+            passed.append(measured)
+            images.append(scene.render().rgb)
+    seen = np.array([setting.state(robot, theta)[:n_z] for theta in passed])
+    pixels, wanted = (
+        setting.unit * values.reshape(len(values), -1, 2) for values in (seen, demonstration.observations)
+    )
+    return Executed(
+        keypoints=pixels,
+        wanted=wanted,
+        planned=path_distance(plan.states[:, :n_z], demonstration.observations),
+        reached=path_distance(seen, demonstration.observations),
+        rate=rate,
+        images=np.array(images),
+    )
+
+
+def _rate_for(actions: Array) -> int:
+    """The fastest rate [Hz] at which the motors keep up with actions (T, n_joints) [rad]."""
+    largest = float(np.abs(actions).max())
+    slow_enough = [rate for rate in _RATES if largest * rate <= _SPEED]
+    if not slow_enough:
+        raise SceneError(f"a step of {largest:.2f} rad takes the arm more than a second: plan more steps (--steps).")
+    return slow_enough[-1]

@@ -1,0 +1,54 @@
+"""Learn from a film of a person what mattered, and do it with an arm.
+
+The object is followed through the film (or the tracks of another program are read), a cost is learned that explains
+its path, and the arm plans with it and executes the plan in the scene, from several starts. What was followed is drawn
+into the film; a film that shows no demonstration is refused with the picture that says why.
+Try: kpirl learn-video my_placing.mp4 --robot iiwa --out out/mine
+
+Pixels are those of frames whose longer side has at most 640 pixels, as in the pictures that are written.
+"""
+
+from argparse import ArgumentParser, ArgumentTypeError
+from collections.abc import Callable
+from pathlib import Path
+
+from kpirl_ocp.cli.values import existing_file, real, whole
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Declare them."""
+    parser.add_argument("film", type=Path, help="a video, or a folder of pictures with --source-rate")
+    watch = parser.add_argument_group("what to watch")
+    watch.add_argument("--start", type=real(least=0), default=0.0, help="of the demonstration [s] (default: 0)")
+    watch.add_argument("--end", type=real(above=0), help="[s] (default: the film's)")
+    watch.add_argument("--source-rate", type=real(above=0), help="of a folder of pictures, or of --tracks [Hz]")
+    which = watch.add_mutually_exclusive_group()
+    which.add_argument("--box", type=pixels(4), metavar="X0,Y0,X1,Y1", help="around the object in the first frame")
+    which.add_argument("--points", type=pixels(2), nargs="+", metavar="X,Y", help="on the object in the first frame")
+    which.add_argument("--tracks", type=existing_file, help=".npz or .csv with tracks of the object's keypoints")
+    which.add_argument("--detector", type=existing_file, help="card of a trained keypoint detector")
+    arm = parser.add_argument_group("the arm")
+    arm.add_argument("--robot", default="iiwa", help="iiwa (default), a name of example-robot-data, or a .urdf file")
+    arm.add_argument("--flange", metavar="LINK", help="that holds the bottle (default: the arm's tool)")
+    size = arm.add_mutually_exclusive_group()
+    size.add_argument("--object-size", type=real(above=0), help="its length [m] (default: 0.25, the arm's bottle)")
+    size.add_argument("--scale", type=real(above=0), help="pixels of the arm's camera per pixel of the film")
+    arm.add_argument("--starts", type=whole(1), default=3, help="executed from (default: 3)")
+    learning = parser.add_argument_group("learning")
+    learning.add_argument("--steps", type=whole(3), default=15, help="of the plan, T (default: 15)")
+    learning.add_argument("--iterations", type=whole(1), default=150, help="of learning, at most (default: 150)")
+    learning.add_argument("--cost", type=existing_file, help="cost.json to evaluate on this film instead of learning")
+    learning.add_argument("--seed", type=whole(0), default=0, help="of the starts (default: 0)")
+    learning.add_argument("--export", action="store_true", help="write the controller as C to OUT/c")
+
+
+def pixels(count: int) -> Callable[[str], list[float]]:
+    """So many finite numbers between commas."""
+
+    def parse(word: str) -> list[float]:
+        number, parts = real(), word.split(",")
+        if len(parts) != count:
+            raise ArgumentTypeError(f"expected {count} numbers between commas, got {word!r}")
+        return [number(part) for part in parts]
+
+    return parse

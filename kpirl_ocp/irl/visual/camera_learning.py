@@ -1,0 +1,121 @@
+"""Learning from tracks in an image, with an arm whose keypoints are seen through a camera model: no learned dynamics.
+
+Only the displacements from the first frame are kept, and scaled between the two cameras:
+
+    z_demo,t = z_robot,0 + scale (p_person,t - p_person,0)
+
+The arm's keypoints are points fixed to what it holds that make the same figure in its image as the person's do in the
+film, scaled; so a turn of the object is demonstrated, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kpirl_ocp.errors import DemonstrationError, ProblemError
+from kpirl_ocp.irl.cases.cost_files import ArmSetting, LearnedCost
+from kpirl_ocp.irl.cases.tasks import tracking_problem
+from kpirl_ocp.irl.hypergradients.implicit import Implicit
+from kpirl_ocp.irl.learning.learn import LearningResult, learn
+from kpirl_ocp.irl.learning.optimisers import LBFGS
+from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, TimeDependent
+from kpirl_ocp.ocp.models.pinhole import Pinhole
+from kpirl_ocp.ocp.models.robot import Robot
+from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.types import Array, Demonstration, Solution
+
+_SOLVER = Riccati(tolerance=1e-9)
+_OUT_OF_REACH = 0.1  # relative distance that the arm's best path may keep from the demonstration
+
+
+def held_points(camera: Pinhole, rotation: Array, position: Array, offsets: ArrayLike) -> Array:
+    """Points (K, 3) [m] in the frame of a link that appear at offsets (K, 2) [pixels] from the link's origin.
+
+    Args:
+        rotation, position: (3, 3) and (3,) [m] of the link in the world.
+        offsets: in the plane through the link's origin that is parallel to the image.
+    """
+    origin = camera.rotation @ position + camera.translation
+    across = np.asarray(offsets, float) @ np.linalg.inv(camera.intrinsics[:2, :2]).T * origin[2]
+    return np.column_stack([across, np.zeros(len(across))]) @ camera.rotation @ rotation
+
+
+def camera_demonstration(setting: ArmSetting, robot: Robot, theta: Array, way: Array) -> Demonstration:
+    """The person's demonstration for an arm at rest at theta (n_joints,) [rad].
+
+    way: (T+1, K, 2) displacements of the keypoints from their first place [pixels of the arm's camera].
+
+    Raises ProblemError if the arm has another number of keypoints.
+    """
+    if way.shape[1:] != (robot.n_keypoints, 2):
+        raise ProblemError(f"the arm has {robot.n_keypoints} keypoints, the demonstration {way.shape[1]}.")
+    s0 = setting.state(robot, theta)
+    wanted = s0[: 2 * robot.n_keypoints] + way.reshape(len(way), -1) / setting.unit
+    return Demonstration(s0, wanted[-1], wanted)
+
+
+def path_distance(observations: Array, demonstrated: Array) -> float:
+    """Mean distance of two paths (T+1, 2 K), over the farthest that the demonstrated keypoints go from their start."""
+    gap, way = (
+        np.linalg.norm(values.reshape(len(values), -1, 2), axis=-1).mean(axis=1)
+        for values in (observations - demonstrated, demonstrated - demonstrated[0])
+    )
+    return float(gap.mean() / way.max())
+
+
+def check_reach(setting: ArmSetting, robot: Robot, demonstration: Demonstration) -> float:
+    """The path distance that the arm keeps at best. Raises DemonstrationError if it cannot follow."""
+    horizon, n_z = len(demonstration.observations) - 1, demonstration.observations.shape[1]
+    tracker = tracking_problem(robot, horizon, setting.unit, setting.camera)
+    theta = demonstration.s0[n_z : n_z + robot.n_joints]
+    plan = _SOLVER.solve(tracker, theta, (), demonstration.observations[1:].ravel())
+    found = np.array([setting.state(robot, at)[:n_z] for at in plan.states])
+    distance = path_distance(found, demonstration.observations)
+    if not plan.status.ok or distance > _OUT_OF_REACH:
+        raise DemonstrationError(
+            f"the arm cannot follow this path: at best it stays {distance:.0%} of the way from it. Choose a smaller "
+            "scale, or a shorter part of the film."
+        )
+    return distance
+
+
+@dataclass(frozen=True, eq=False)
+class CameraLearning:
+    """A learned cost, the history of learning, and how far from the demonstration its plan stays (`path_distance`)."""
+
+    cost: LearnedCost
+    history: LearningResult
+    distance: float
+
+
+def learn_in_image(
+    setting: ArmSetting, robot: Robot, demonstration: Demonstration, rate: float, iterations: int = 200
+) -> CameraLearning:
+    """Learn time-dependent weights and one effort weight by the implicit gradient of the converged plan, with L-BFGS.
+
+    rate: [Hz] of the demonstration's steps.
+
+    Raises CertificateError if a gradient cannot be certified.
+    """
+    horizon, n_z = len(demonstration.observations) - 1, demonstration.observations.shape[1]
+    cost = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
+    psi0 = cost.initial(horizon, n_z, np.ones((horizon, n_z)))
+    problem = setting.problem(robot, cost, horizon)
+    result = learn(problem, [demonstration], psi0, Implicit(_SOLVER), LBFGS(), iterations)
+    start = demonstration.s0[n_z : n_z + robot.n_joints]
+    way = demonstration.observations[-1] - demonstration.observations[0]
+    learned = LearnedCost(cost, result.psi, horizon, _SOLVER, setting, start, way, rate)
+    plan = plan_from(learned, robot, start)
+    return CameraLearning(learned, result, path_distance(plan.states[:, :n_z], demonstration.observations))
+
+
+def plan_from(learned: LearnedCost, robot: Robot, theta: Array) -> Solution:
+    """Plan with a learned cost from a start theta (n_joints,) [rad], towards the learned displacement from there.
+
+    Raises SolveError if no plan is found.
+    """
+    s0 = learned.setting.state(robot, theta)
+    return learned.solver.solve(learned.problem(robot), s0, learned.psi, learned.goal(s0)).raise_if_failed()

@@ -1,0 +1,244 @@
+"""From tracks in an image to an arm that repeats them: the camera in the plan, scales, refusals, files, the command."""
+
+import json
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from films import film, pose
+
+from kpirl_ocp.cli.imitation.arm import Scale, arm_for, other_starts
+from kpirl_ocp.cli.imitation.execution import execute
+from kpirl_ocp.cli.main import run
+from kpirl_ocp.errors import DemonstrationError, ProblemError, SceneError
+from kpirl_ocp.irl.cases.cost_files import ArmSetting, LearnedCost
+from kpirl_ocp.irl.visual.camera_learning import (
+    camera_demonstration,
+    check_reach,
+    held_points,
+    learn_in_image,
+    path_distance,
+    plan_from,
+)
+from kpirl_ocp.motion import minimum_jerk
+from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, Weighted
+from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state
+from kpirl_ocp.ocp.models.pinhole import Pinhole
+from kpirl_ocp.ocp.models.robot import Keypoint, Robot
+from kpirl_ocp.perception.data.encoding import write_video
+from kpirl_ocp.perception.scene.camera import Camera
+from kpirl_ocp.perception.scene.scene import Scene
+
+CAMERA = Camera()
+PINHOLE = Pinhole(CAMERA.intrinsics, *CAMERA.extrinsics)
+THETA = np.array([0.1, 0.6, -0.1, -1.4, 0.2, 1.1, 0.0])
+HELD = (Keypoint("lbr_iiwa_link_7", (0.0, 0.0, 0.12)), Keypoint("lbr_iiwa_link_7", (0.1, 0.0, 0.12)))
+FIGURE = np.array([[280.0, 180], [320, 180], [300, 150]])  # keypoints in a film [pixels]
+SCALE = Scale(0.5, 0.25, None)
+
+
+def way(steps=6, across=60.0, down=0.0, turn=0.0):
+    """Keypoints (T+1, 3, 2) [pixels of the film] that move with a person's speed, and turn."""
+    progress = minimum_jerk(np.linspace(0, 1, steps + 1))
+    middle = FIGURE.mean(axis=0)
+    places = []
+    for t in progress:
+        rotation = np.array([[np.cos(turn * t), -np.sin(turn * t)], [np.sin(turn * t), np.cos(turn * t)]])
+        places.append(middle + (FIGURE - middle) @ rotation.T + t * np.array([across, down]))
+    return np.array(places)
+
+
+@pytest.fixture(scope="module")
+def iiwa():
+    return arm_for("iiwa", None, way(turn=0.4), SCALE)
+
+
+@pytest.fixture(scope="module")
+def learned(iiwa):
+    arm, wanted = iiwa
+    demonstration = camera_demonstration(arm.setting, arm.robot, arm.start, wanted)
+    return learn_in_image(arm.setting, arm.robot, demonstration, rate=5.0, iterations=40)
+
+
+# The camera in the plan
+
+
+def test_the_symbolic_camera_is_that_of_the_scene():
+    points = np.random.default_rng(0).uniform([0.3, -0.3, 0.2], [0.9, 0.3, 0.9], (5, 3))
+    symbol = ca.SX.sym("p", 15)
+    project = ca.Function("project", [symbol], [PINHOLE.project(symbol)])
+    np.testing.assert_allclose(np.array(project(points.ravel())).reshape(5, 2), CAMERA.project(points), atol=1e-10)
+
+
+def test_the_problem_plans_pixels_of_the_keypoints():
+    robot = Robot.iiwa(HELD)
+    problem = keypoint_ocp(robot, KeypointCost(Weighted()), 3, unit=120.0, camera=PINHOLE)
+    s0 = keypoint_state(robot, THETA, 120.0, PINHOLE)
+    np.testing.assert_allclose(120 * s0[:4].reshape(2, 2), CAMERA.project(robot.locate(THETA)), atol=1e-10)
+    actions = np.random.default_rng(1).normal(0, 0.05, (3, 7))
+    moved = problem.simulate(s0, actions, np.ones(4)).states[-1]
+    seen = CAMERA.project(robot.locate(THETA + actions.sum(axis=0)))
+    np.testing.assert_allclose(120 * moved[:4].reshape(2, 2), seen, atol=1e-9)
+    assert problem.n_context == 4
+
+
+@pytest.mark.parametrize("change", [{"rotation": np.eye(2)}, {"translation": [0, np.nan, 0]}])
+def test_a_camera_of_the_wrong_kind_is_refused(change):
+    with pytest.raises(ProblemError, match=next(iter(change))):
+        replace(PINHOLE, **change)
+
+
+def test_held_points_appear_where_they_are_asked_to():
+    offsets = np.array([[10.0, 0], [-5, 20], [0, 0]])
+    with Scene() as scene:
+        scene.reset(THETA)
+        rotation, position = scene.link_pose("bottle")
+    points = held_points(PINHOLE, rotation, position, offsets) @ rotation.T + position
+    np.testing.assert_allclose(CAMERA.project(points) - CAMERA.project(position), offsets, atol=1e-9)
+
+
+# Scales
+
+
+def test_the_scale_follows_from_the_length_of_the_object():
+    assert Scale(0.7, 0.25, 100).at(300, 1.5) == 0.7
+    assert Scale(None, 0.25, 100).at(300, 1.5) == pytest.approx(300 / 1.5 * 0.25 / 100)
+    with pytest.raises(DemonstrationError, match="--scale"):
+        Scale(None, 0.25, None).at(300, 1.5)
+
+
+def test_the_arms_keypoints_make_the_figure_of_the_film(iiwa):
+    arm, wanted = iiwa
+    start = arm.setting.unit * arm.setting.state(arm.robot, arm.start)[:6].reshape(3, 2)
+    np.testing.assert_allclose(start - start.mean(axis=0), 0.5 * (FIGURE - FIGURE.mean(axis=0)), atol=1e-3)
+    np.testing.assert_allclose(wanted, 0.5 * (way(turn=0.4) - way()[0]), atol=1e-12)
+
+
+def test_a_path_that_leaves_the_image_is_refused_with_what_to_do():
+    with pytest.raises(DemonstrationError, match="smaller scale"):
+        arm_for("iiwa", None, way(across=500.0), SCALE)
+
+
+def test_a_path_that_the_arm_cannot_follow_is_refused(iiwa):
+    arm, _ = iiwa
+    too_far = 0.5 * (way(across=700.0) - way()[0])
+    demonstration = camera_demonstration(arm.setting, arm.robot, arm.start, too_far)
+    with pytest.raises(DemonstrationError, match="cannot follow"):
+        check_reach(arm.setting, arm.robot, demonstration)
+
+
+def test_another_number_of_keypoints_is_refused(iiwa):
+    arm, wanted = iiwa
+    with pytest.raises(ProblemError, match="3 keypoints, the demonstration 2"):
+        camera_demonstration(arm.setting, arm.robot, arm.start, wanted[:, :2])
+
+
+# Learning and doing
+
+
+def test_the_path_distance_is_relative_to_the_way():
+    demonstrated = np.zeros((3, 2))
+    demonstrated[:, 0] = [0, 1, 2]
+    assert path_distance(demonstrated, demonstrated) == 0
+    assert path_distance(demonstrated + np.array([0, 0.5]), demonstrated) == pytest.approx(0.25)
+
+
+def test_a_cost_is_learned_whose_executed_plan_follows_the_demonstration(iiwa, learned):
+    arm, wanted = iiwa
+    assert learned.history.loss < 0.05 * learned.history.losses[0]
+    for start in other_starts(arm, 2, seed=0):
+        done = execute(arm, learned.cost, wanted, start)
+        assert done.reached < 0.1
+        assert abs(done.reached - done.planned) < 0.01
+        assert done.images.shape == (7, 240, 240, 3)
+
+
+def test_a_learned_cost_says_all_that_planning_with_it_needs(tmp_path, iiwa, learned):
+    arm, _ = iiwa
+    learned.cost.write(tmp_path / "cost.json")
+    content = json.loads((tmp_path / "cost.json").read_text())
+    assert content["arm"]["robot"] == "iiwa"
+    assert [entry["link"] for entry in content["arm"]["keypoints"]] == ["lbr_iiwa_link_7"] * 3
+    assert content["arm"]["unit"] == 120
+    assert content["arm"]["max_displacement"] == 0.3
+    again = LearnedCost.read(tmp_path / "cost.json")
+    robot = again.setting.build()
+    for start in (again.start, again.start + 0.05):
+        one, other = plan_from(learned.cost, arm.robot, start), plan_from(again, robot, start)
+        np.testing.assert_allclose(other.states, one.states, atol=1e-9)
+
+
+def test_costs_written_before_they_named_their_arm_are_read(tmp_path):
+    path = tmp_path / "cost.json"
+    content = {"basis": {"kind": "weighted"}, "effort": 1.0, "learn_effort": False, "positivity": "softplus"}
+    content |= {"psi": [1.0] * 9, "horizon": 5, "solver": {"kind": "ipopt"}}
+    path.write_text(json.dumps(content))
+    assert LearnedCost.read(path).setting.robot == ArmSetting().robot == "iiwa"
+
+
+# Other arms
+
+
+def test_the_scene_takes_an_arm_from_a_urdf(tmp_path):
+    shape = '<visual><geometry><box size="0.1 0.1 0.1"/></geometry></visual>'
+    links = "".join(f'<link name="l{i}">{shape}</link>' for i in range(4))
+    joints = "".join(
+        f'<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/><origin xyz="0.3 0 0"/>'
+        '<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="100" velocity="2"/></joint>'
+        for i in range(3)
+    )
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(f'<robot name="arm">{links}{joints}</robot>')
+    places = way(across=30.0)
+    arm, wanted = arm_for(str(urdf), "l3", places, Scale(0.3, 0.25, None))
+    assert arm.robot.n_joints == 3
+    with arm.scene() as scene:
+        scene.reset(arm.start)
+        seen = scene.render()
+    assert seen.bottle.sum() > 200
+    np.testing.assert_allclose(seen.place, 120, atol=1e-6)  # the camera looks at the bottle
+    assert camera_demonstration(arm.setting, arm.robot, arm.start, wanted).observations.shape == (7, 6)
+
+
+def test_a_missing_mesh_or_link_is_named(tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(
+        '<robot name="a"><link name="l0"><visual><geometry><mesh filename="package://p/x.stl"/></geometry></visual>'
+        "</link></robot>"
+    )
+    with pytest.raises(SceneError, match=r"package://p/x.stl"), Scene(arm=urdf, flange="l0"):
+        pass
+    with pytest.raises(SceneError, match="no link 'hand'"), Scene(arm=urdf, flange="hand"):
+        pass
+
+
+# The command
+
+
+@pytest.fixture(scope="module")
+def moving_film(tmp_path_factory):
+    poses = [pose(80 + 100 * t, 100 - 30 * t, 0.3 * t) for t in minimum_jerk(np.linspace(0, 1, 40))]
+    frames = [image for _, image in film(poses)]
+    return write_video(tmp_path_factory.mktemp("film") / "mine.mp4", frames, 30, codec="h264")
+
+
+def test_one_command_leads_from_a_film_to_a_robot_that_does_it(tmp_path, moving_film, capsys):
+    words = ["learn-video", str(moving_film), "--box", "54,74,106,126", "--scale", "0.4", "--steps", "5"]
+    words += ["--iterations", "25", "--starts", "1", "--out", str(tmp_path)]
+    assert run(words) == 0, capsys.readouterr()
+    written = {path.name for path in tmp_path.iterdir()}
+    assert {"tracks.npz", "tracks.png", "tracks.mp4", "cost.json", "paths.png", "imitation.mp4"} <= written
+    tracks = str(tmp_path / "tracks.npz")
+    again = ["learn-video", str(moving_film), "--tracks", tracks, "--scale", "0.4", "--steps", "5", "--starts", "2"]
+    assert run([*again, "--cost", str(tmp_path / "cost.json"), "--out", str(tmp_path / "again")]) == 0
+    assert not (tmp_path / "again" / "cost.json").exists()
+
+
+def test_a_film_that_shows_no_motion_is_refused_with_a_picture(tmp_path, capsys):
+    frames = [image for _, image in film([pose(80 + 0.05 * i, 100) for i in range(20)])]
+    path = write_video(tmp_path / "still.mp4", frames, 30, codec="h264")
+    words = ["learn-video", str(path), "--box", "54,74,106,126", "--out", str(tmp_path)]
+    assert run(words) == 2
+    assert "hardly move" in capsys.readouterr().err
+    assert (tmp_path / "refused.png").exists()
