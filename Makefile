@@ -1,5 +1,6 @@
 # make demo: install; watch a person, learn, plan and do it.    make test: install, lint, type-check, test.
 # make paper: all experiments of the paper, with a report.      make study: its simulation study alone.
+# make docs: the pages as a web site in out/site.
 # make benchmark: timings beside torch, JAX, Fatrop and Ipopt.
 # make models: camera data, keypoint detector and dynamics at the paper's scale (SEED=0, MODELS=out/models).
 PYTHON ?= $(firstword $(shell command -v python3.11 python3.10 python3))
@@ -12,7 +13,7 @@ MODELS := out/models
 COLLECT = $(BIN)/python scripts/collect_data.py
 DYNAMICS = $(BIN)/python scripts/train_dynamics.py --seed $(SEED) --detector $(MODELS)/detector/detector.json
 
-.PHONY: demo paper test study benchmark models clean
+.PHONY: demo paper test study benchmark models docs clean
 
 demo: .venv/installed-perception
 	$(BIN)/python scripts/visual_demo.py --out out/demo
@@ -42,6 +43,10 @@ models: .venv/installed-perception
 		$(DYNAMICS) --activation $$activation --out $(MODELS)/placing-$$activation \
 			--data $(MODELS)/data/placing --test $(MODELS)/test/placing || exit; done
 
+docs: .venv/installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo "open out/site/index.html"
+
 test: .venv/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -59,6 +64,10 @@ test: .venv/installed-test
 
 .venv/installed-bench: .venv/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[bench]"
+	touch $@
+
+.venv/installed-docs: .venv/installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[docs]"
 	touch $@
 
 .venv/installed-test: .venv/installed

@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from kpirl_ocp import OCP, Riccati
-from kpirl_ocp.bridges.torch_network import from_torch
+from kpirl_ocp.bridges import from_torch
 
 
 class Dynamics(nn.Module):

@@ -4,7 +4,7 @@ import casadi as ca
 import torch
 
 from kpirl_ocp import OCP
-from kpirl_ocp.bridges.torch_layer import OCPLayer
+from kpirl_ocp.bridges import OCPLayer
 
 s, u, target = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("target")
 problem = OCP.from_expressions(

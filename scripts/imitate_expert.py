@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from kpirl_ocp import OCP
-from kpirl_ocp.bridges.torch_layer import OCPLayer
+from kpirl_ocp.bridges import OCPLayer
 
 TRUE = (1.0, 2.0, 1.5, 1.0)
 # Starting guesses of the weights, from the repository ToyotaResearchInstitute/diffmpc.

@@ -1,1 +1,8 @@
-"""Results to look at: figures, an arm in the browser, videos and recordings of its plan."""
+"""Results to look at: figures, an arm in the browser, videos and recordings of its plan.
+
+Names are imported when they are used, because they need different packages.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,90 @@
+"""The pages: their code runs and prints what they say, their links lead somewhere, they build without a warning."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted(path for path in (ROOT / "docs").rglob("*.md"))
+CODE = {
+    path.relative_to(ROOT).as_posix(): re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL) for path in PAGES
+}
+CODE = {name: blocks for name, blocks in CODE.items() if blocks}
+NEEDS = {
+    "docs/tutorial.md": ("cv2", "pybullet", "torch"),
+    "docs/howto/own_video.md": ("cv2", "pybullet", "torch"),
+    "docs/howto/own_network.md": ("torch", "onnxscript"),
+    "docs/howto/pytorch.md": ("torch", "jax"),
+    "docs/howto/data_sets.md": ("pyarrow", "cv2"),
+}
+
+
+def test_there_are_pages_of_every_kind():
+    for page in ("tutorial.md", "howto/own_arm.md", "explanation/method.md", "results/paper.md", "reference/errors.md"):
+        assert ROOT / "docs" / page in PAGES
+    assert len(CODE) >= 10
+
+
+@pytest.mark.parametrize("name", CODE)
+def test_the_code_of_a_page_prints_what_its_comments_promise(name, tmp_path, monkeypatch, capsys):
+    for package in NEEDS.get(name, ()):
+        pytest.importorskip(package)
+    monkeypatch.chdir(tmp_path)
+    program = "\n".join(CODE[name])
+    if "jax" in NEEDS.get(name, ()):  # sets precision for the whole process
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        command = [sys.executable, "-c", program]
+        ran = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+        assert ran.returncode == 0, ran.stderr
+        printed = ran.stdout
+    else:
+        exec(compile(program, name, "exec"), {"__name__": "page"})
+        printed = capsys.readouterr().out
+    promised = re.findall(r"print\(.*\)  # (.*)", program)
+    assert printed.split("\n")[:-1] == promised
+
+
+@pytest.mark.parametrize("path", [*PAGES, ROOT / "README.md"], ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_links_and_pictures_of_a_page_are_there(path):
+    for target in re.findall(
+        r"\]\(([^)#\s]+)(?:#[^)]*)?\)", re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)
+    ):
+        assert target.startswith("https://") or (path.parent / target).exists(), target
+
+
+def test_every_page_is_in_the_navigation():
+    navigation = (ROOT / "mkdocs.yml").read_text()
+    for path in PAGES:
+        assert path.relative_to(ROOT / "docs").as_posix() in navigation
+
+
+def test_the_pages_build_without_a_warning(tmp_path):
+    for package in ("mkdocs", "material", "mkdocstrings"):
+        pytest.importorskip(package)
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    built = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, env=environment)
+    assert built.returncode == 0, built.stderr
+    assert "WARNING" not in built.stderr
+    reference = (tmp_path / "site" / "reference" / "problems.html").read_text()
+    assert "from_expressions" in reference
+    assert "schedule" in reference
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 130
+
+
+def test_fields_of_a_docstring_become_a_list():
+    pytest.importorskip("griffe")
+    sys.path.insert(0, str(ROOT / "scripts"))
+    from griffe_fields import with_list
+
+    sections = "\n\nArgs:\n    x: one.\n\nRaises:\n    E: no."
+    text = "Title.\n\npsi: (n,) numbers,\n    more of them.\nupper, lower: two." + sections
+    fields = "\n* `psi`: (n,) numbers,\n    more of them.\n\n* `upper, lower`: two."
+    assert with_list(text) == "Title.\n\n" + fields + sections
