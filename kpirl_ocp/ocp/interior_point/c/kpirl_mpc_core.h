@@ -48,14 +48,14 @@ typedef struct kpirl_mpc_derivatives {
 /* A Newton step towards tau, and the longest lengths that keep y and z positive. */
 typedef struct kpirl_mpc_step {
   kpirl_mpc_iterate change;
-  real tau, primal_length, dual_length, regularisation;
+  real tau, share, primal_length, dual_length, regularisation; /* share: fraction to the boundary of slacks */
   int positive; /* is the Hessian along the dynamics? */
 } kpirl_mpc_step;
 
 /* Pairs (theta, phi) of violation and objective that no later iterate may be worse than in both. */
 enum { KPIRL_MPC_FILTER_SIZE = 64 };
 typedef struct kpirl_mpc_filter {
-  real largest, small; /* theta above which nothing is accepted, and below which the objective decides */
+  real largest, small, feasible; /* theta above which nothing is accepted, below which the objective may decide, and does */
   real theta[KPIRL_MPC_FILTER_SIZE], phi[KPIRL_MPC_FILTER_SIZE];
   int count;
 } kpirl_mpc_filter;
@@ -107,9 +107,12 @@ typedef struct kpirl_mpc_core {
   real *scratch;
   real *nonzeros;       /* of a function's result */
   real *states, *actions; /* gathered for functions of the whole horizon */
-  real tau, tolerance, regularisation;
+  real tau, indefinite_tau; /* the latter: tau to go back to where the Hessian is not positive */
+  real tolerance, regularisation, best; /* best: the smallest residual so far */
   double started;
-  int iterations, trials, lifted, failed; /* failed: has a function reported an error? */
+  int iterations, trials, idle; /* idle: iterations since `best` was halved */
+  int lifted;                  /* are steps lifted, or along the dynamics? */
+  int failed;                  /* has a function reported an error? */
 } kpirl_mpc_core;
 
 /* n_w, the number of bounds, m and the number of equalities. */
@@ -196,7 +199,7 @@ void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level);
 void kpirl_mpc_find_residuals(const kpirl_mpc_core *core, real tau, kpirl_mpc_residuals *residuals);
 
 /* newton */
-#define KPIRL_MPC_BOUNDARY ((real)0.99) /* fraction to the boundary of slacks; of multipliers, the smallest one */
+#define KPIRL_MPC_BOUNDARY ((real)0.99) /* the smallest fraction to the boundary */
 /* The factors of the condensed Hessian; returns whether it is positive along the dynamics. */
 int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation);
 void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation);
@@ -209,6 +212,16 @@ void kpirl_mpc_centre(kpirl_mpc_core *core);
 
 /* curvature: the step becomes such a direction; returns whether there is one */
 int kpirl_mpc_negative_curvature(kpirl_mpc_core *core);
+
+/* line search: `least` is the tau to stop at. Each returns whether it moved, or found a step. */
+int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation);
+int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least);
+int kpirl_mpc_escape(kpirl_mpc_core *core);
+/* Go to the trial point; `level` says how much to find out about it. */
+void kpirl_mpc_arrive(kpirl_mpc_core *core, int level);
+
+/* feasibility: is the iterate infeasible, and does no step within reach change that? */
+int kpirl_mpc_locally_infeasible(kpirl_mpc_core *core);
 
 /* filter */
 void kpirl_mpc_start_filter(kpirl_mpc_filter *filter, real theta);

@@ -11,6 +11,7 @@ static const real VIOLATION = (real)1e-5, OBJECTIVE = (real)1e-8, ARMIJO = (real
 void kpirl_mpc_start_filter(kpirl_mpc_filter *filter, real theta) {
   filter->largest = (real)1e4 * kpirl_mpc_larger(1, theta);
   filter->small = (real)1e-4 * kpirl_mpc_larger(1, theta);
+  filter->feasible = 100 * KPIRL_MPC_EPSILON;
   filter->count = 0;
 }
 
@@ -40,9 +41,9 @@ int kpirl_mpc_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slo
   if (!isfinite(trial.theta) || !isfinite(trial.phi) || trial.theta > filter->largest) return 0;
   for (i = 0; i < filter->count; ++i)
     if (trial.theta >= filter->theta[i] && trial.phi - tolerated > filter->phi[i]) return 0;
-  if (slope < 0 && before.theta <= filter->small &&
-      length * kpirl_mpc_power(-slope, (real)2.3) > kpirl_mpc_power(before.theta, (real)1.1))
-    return trial.phi <= before.phi + ARMIJO * length * slope + tolerated;
+  if (before.theta <= filter->feasible || (slope < 0 && before.theta <= filter->small &&
+      length * kpirl_mpc_power(-slope, (real)2.3) > kpirl_mpc_power(before.theta, (real)1.1)))
+    return trial.phi <= before.phi + ARMIJO * length * kpirl_mpc_smaller(slope, 0) + tolerated;
   if (!(trial.theta <= (1 - VIOLATION) * before.theta || trial.phi <= before.phi - OBJECTIVE * before.theta + tolerated))
     return 0;
   add(filter, (1 - VIOLATION) * before.theta, before.phi - OBJECTIVE * before.theta);

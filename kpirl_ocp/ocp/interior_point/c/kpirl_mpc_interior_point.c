@@ -8,13 +8,11 @@
 
 #include <string.h>
 
-static const real START = (real)0.3;      /* tau of a cold start, relative to the gradient of the objective there */
+static const real START = (real)0.1;      /* tau of a cold start, relative to the gradient of the objective there */
 static const real WARM = (real)1e-3;      /* largest tau of a warm start */
 static const real LARGE = (real)100;      /* multipliers above this count as large */
-static const real SHORTEST = (real)1e-10; /* step length below which a line search gives up */
-static const real TINY = (real)1e-14;     /* relative step below which rounding decides, so that it is taken as it is */
 static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
-static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
+static const int IDLE = 5;                /* iterations without a smaller residual after which rounding is the floor */
 
 /* What complementarity may be off: a fifth of the tolerance, in units of the multipliers where these are large. */
 static real close_enough(const kpirl_mpc_core *core) {
@@ -66,96 +64,7 @@ static int late(const kpirl_mpc_core *core) {
   return options->now && options->time_limit > 0 && options->now(options->clock) - core->started >= options->time_limit;
 }
 
-/* ---- one iteration ------------------------------------------------------------------------------------------ */
-
-/* The Newton step, with as much regularisation as the pivots ask for; 0 if none is enough. */
-static int find_positive_step(kpirl_mpc_core *core, real regularisation) {
-  real rho = regularisation;
-  while (rho < (real)1e20) {
-    kpirl_mpc_newton_step(core, rho);
-    if (core->step.positive) {
-      if (rho > 0) core->regularisation = rho;
-      return 1;
-    }
-    if (rho > 0)
-      rho *= core->regularisation > 0 ? 8 : 100;
-    else
-      rho = core->regularisation > 0 ? kpirl_mpc_larger(core->regularisation / 3, (real)1e-12) : (real)1e-4;
-  }
-  return 0;
-}
-
-/* Derivative of J - tau sum log y along the step. */
-static real slope_of(const kpirl_mpc_core *core) {
-  const kpirl_mpc_iterate *change = &core->step.change;
-  const int m = kpirl_mpc_n_inequalities(core);
-  real barrier = 0;
-  int i;
-  for (i = 0; i < m; ++i) barrier += change->y[i] / core->at.y[i];
-  return kpirl_mpc_dot(core->d.cost_gradient, change->x, kpirl_mpc_n_point(core)) - core->step.tau * barrier;
-}
-
-static void swap(kpirl_mpc_iterate *a, kpirl_mpc_iterate *b) {
-  const kpirl_mpc_iterate other = *a;
-  *a = *b;
-  *b = other;
-}
-
-/* Go to the trial point; `level` says how much to find out about it. */
-static void arrive(kpirl_mpc_core *core, int level) {
-  const int m = kpirl_mpc_n_inequalities(core);
-  int i;
-  for (i = 0; i < m; ++i) core->trial.z[i] = core->at.z[i] + core->step.dual_length * core->step.change.z[i];
-  swap(&core->at, &core->trial);
-  kpirl_mpc_inequalities(core, core->at.x, core->force + core->n_lower + core->n_upper, core->d.g);
-  kpirl_mpc_centre(core);
-  kpirl_mpc_differentiate(core, level);
-}
-
-/* Move by the longest length that the filter accepts, if there is one. */
-static int move_along(kpirl_mpc_core *core) {
-  const kpirl_mpc_step *step = &core->step;
-  const int n_w = kpirl_mpc_n_point(core);
-  const int tiny = kpirl_mpc_largest(step->change.x, n_w) <= TINY * (1 + kpirl_mpc_largest(core->at.x, n_w));
-  const real slope = slope_of(core);
-  real length = step->primal_length;
-  kpirl_mpc_merit before, trial;
-  before.theta = core->d.violation;
-  before.phi = core->d.objective - step->tau * kpirl_mpc_log_sum(core->at.y, kpirl_mpc_n_inequalities(core));
-  while (length >= SHORTEST) {
-    ++core->trials;
-    kpirl_mpc_try(core, length, core->lifted, &trial);
-    if ((tiny && isfinite(trial.phi)) || kpirl_mpc_accepts(&core->filter, before, slope, length, trial)) {
-      core->step.primal_length = length;
-      arrive(core, KPIRL_MPC_SECOND);
-      return 1;
-    }
-    length = isinf(trial.phi) ? kpirl_mpc_shortened(core, length) : length / 2;
-  }
-  return 0;
-}
-
-/* Move along the corrected step where it is one to a minimum; else along Newton steps, regularised. */
-static int search(kpirl_mpc_core *core) {
-  const real least = final_tau(core);
-  real rho = 0;
-  int attempt;
-  core->trials = 0;
-  kpirl_mpc_corrected_step(core, least, kpirl_mpc_larger(core->tau, least));
-  if (core->step.positive) {
-    if (core->step.tau != core->tau) {
-      core->tau = core->step.tau;
-      kpirl_mpc_start_filter(&core->filter, core->d.violation);
-    }
-    if (move_along(core)) return 1;
-  }
-  for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
-    if (!find_positive_step(core, rho)) return 0;
-    if (move_along(core)) return 1;
-    rho = kpirl_mpc_larger(100 * core->step.regularisation, (real)1e-4);
-  }
-  return 0;
-}
+/* ---- one solve ---------------------------------------------------------------------------------------------- */
 
 static void log_iteration(const kpirl_mpc_core *core) {
   const kpirl_mpc_step *step = &core->step;
@@ -177,23 +86,49 @@ static void log_iteration(const kpirl_mpc_core *core) {
   core->options.log(core->options.log_to, &line);
 }
 
-/* ---- one solve ---------------------------------------------------------------------------------------------- */
-
-static kpirl_mpc_status why_stuck(const kpirl_mpc_core *core) {
+/* Do the conditions hold as far as rounding lets them? */
+static int acceptable(const kpirl_mpc_core *core) {
   kpirl_mpc_residuals residuals;
-  if (!matrices_finite(core)) return KPIRL_MPC_NOT_FINITE;
   kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
-  return residuals.feasibility > kpirl_mpc_root(core->tolerance) ? KPIRL_MPC_INFEASIBLE : KPIRL_MPC_STALLED;
+  return worst(&residuals) <= kpirl_mpc_root(core->tolerance) / 10;
 }
+
+static kpirl_mpc_status why_stuck(kpirl_mpc_core *core) {
+  if (!matrices_finite(core)) return KPIRL_MPC_NOT_FINITE;
+  if (acceptable(core)) return KPIRL_MPC_ACCEPTABLE;
+  return kpirl_mpc_locally_infeasible(core) ? KPIRL_MPC_INFEASIBLE : KPIRL_MPC_STALLED;
+}
+
+/* Has the residual stayed as it is for some iterations? */
+static int idle(kpirl_mpc_core *core) {
+  kpirl_mpc_residuals residuals;
+  real residual;
+  kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
+  residual = worst(&residuals);
+  ++core->idle;
+  if (residual < core->best / 2) {
+    core->best = residual;
+    core->idle = 0;
+  }
+  return core->idle >= IDLE;
+}
+
+/* A solution is no minimum where the Hessian is not positive. Newton steps that needed no regularisation know that it is. */
+static int to_be_examined(const kpirl_mpc_core *core) { return core->iterations == 0 || core->step.regularisation > 0; }
 
 static kpirl_mpc_status converge(kpirl_mpc_core *core) {
   for (;; ++core->iterations) {
     if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
-    if (solved(core)) return KPIRL_MPC_CONVERGED;
+    if (solved(core)) {
+      const int left = to_be_examined(core) ? kpirl_mpc_escape(core) : 0;
+      if (left <= 0) return left ? KPIRL_MPC_NOT_A_MINIMUM : KPIRL_MPC_CONVERGED;
+      continue;
+    }
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
     if (late(core)) return KPIRL_MPC_TIME_LIMIT;
     if (kpirl_mpc_largest(core->at.x, kpirl_mpc_n_point(core)) > FAR) return KPIRL_MPC_DIVERGED;
-    if (!search(core)) return why_stuck(core);
+    if (idle(core) && acceptable(core)) return KPIRL_MPC_ACCEPTABLE;
+    if (!kpirl_mpc_iterate_once(core, final_tau(core))) return why_stuck(core);
     log_iteration(core);
   }
 }
@@ -208,7 +143,7 @@ static kpirl_mpc_status advance(kpirl_mpc_core *core) {
     real length, objective;
     if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
     if (late(core)) return KPIRL_MPC_TIME_LIMIT;
-    if (!find_positive_step(core, 0)) return why_stuck(core);
+    if (!kpirl_mpc_find_positive_step(core, 0)) return why_stuck(core);
     length = core->step.primal_length;
     for (i = 0; i < n_w; ++i) core->trial.x[i] = at->x[i] + length * change->x[i];
     for (i = 0; i < n_costates; ++i) core->trial.costates[i] = at->costates[i] + length * change->costates[i];
@@ -217,7 +152,7 @@ static kpirl_mpc_status advance(kpirl_mpc_core *core) {
     if (m > core->n_lower + core->n_upper) /* h, for the slacks */
       kpirl_mpc_evaluate_values(core, core->trial.x, &objective, core->d.defects,
                                 core->force + core->n_lower + core->n_upper, core->d.equality);
-    arrive(core, core->iterations == core->options.steps - 1 ? KPIRL_MPC_FIRST : KPIRL_MPC_SECOND);
+    kpirl_mpc_arrive(core, core->iterations == core->options.steps - 1 ? KPIRL_MPC_FIRST : KPIRL_MPC_SECOND);
     log_iteration(core);
   }
   if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
@@ -250,19 +185,34 @@ static void begin(kpirl_mpc_core *core, const kpirl_mpc_start *start, int warm) 
     core->tau = barrier > 0 ? barrier : START * core->d.scale;
     for (i = 0; i < m; ++i) core->at.z[i] = core->tau / core->at.y[i];
   }
-  core->regularisation = 0;
+  core->regularisation = core->step.regularisation = 0;
+  core->indefinite_tau = core->tau;
+  core->best = (real)INFINITY;
+  core->idle = 0;
   kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
   kpirl_mpc_start_filter(&core->filter, core->d.violation);
 }
 
-/* A warm start that gets stuck begins again, cold, from its trajectory. */
+static int stuck(kpirl_mpc_status status) {
+  return status == KPIRL_MPC_STALLED || status == KPIRL_MPC_INFEASIBLE || status == KPIRL_MPC_DIVERGED ||
+         status == KPIRL_MPC_NOT_FINITE;
+}
+
+/* With lifted steps; where they get stuck, with steps along the dynamics. A warm start that gets stuck begins again first,
+ * cold, from its trajectory. */
 static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
-  const int warm = start->costates != NULL;
+  int warm = start->costates != NULL;
   kpirl_mpc_status status;
+  core->lifted = 1;
   begin(core, start, warm);
   if (core->options.steps) return advance(core);
   status = converge(core);
-  if (!warm || (status != KPIRL_MPC_STALLED && status != KPIRL_MPC_INFEASIBLE)) return status;
+  if (warm && stuck(status)) {
+    begin(core, start, 0);
+    status = converge(core);
+  }
+  if (!stuck(status) || core->iterations == 0) return status;
+  core->lifted = 0;
   begin(core, start, 0);
   return converge(core);
 }

@@ -8,7 +8,7 @@
  *
  *     H + G' (z/y) G + E' E / delta + rho R,    gradient + G' (tau/y + z/y (g + y)) + E' (nu + c / delta).
  *
- * R is the identity of the actions and of free entries of s_0: enough of it makes the reduced Hessian positive. Equalities
+ * R is the identity: enough of it makes the reduced Hessian positive. Equalities
  * are those of the proximal method of multipliers: exact where the method converges, and never singular.
  */
 #include "kpirl_mpc_core.h"
@@ -58,18 +58,16 @@ static int all_positive(const real *pivots, int count) {
 
 int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_x = n_s + n_u;
-  const int m = kpirl_mpc_n_inequalities(core), n_free = core->bounds.n_free;
+  const int m = kpirl_mpc_n_inequalities(core), n_free = core->bounds.n_free, n_w = kpirl_mpc_n_point(core);
   kpirl_mpc_factors *factors = &core->factors;
   real *diagonal = core->right;
   int i, t;
-  memset(diagonal, 0, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
+  memset(diagonal, 0, (size_t)n_w * sizeof(real));
   for (i = 0; i < m; ++i) core->weights[i] = core->at.z[i] / core->at.y[i];
   for (i = 0; i < core->n_lower; ++i) diagonal[core->lower[i]] += core->weights[i];
   for (i = 0; i < core->n_upper; ++i) diagonal[core->upper[i]] += core->weights[core->n_lower + i];
   for (i = 0; i < core->n_fixed; ++i) diagonal[core->fixed[i]] += 1 / PROXIMAL;
-  for (t = 0; t < T; ++t)
-    for (i = n_s; i < n_x; ++i) diagonal[t * n_x + i] += regularisation;
-  for (i = 0; i < n_free; ++i) diagonal[core->bounds.free_entries[i]] += regularisation;
+  for (i = 0; i < n_w; ++i) diagonal[i] += regularisation;
   condense(core, T, diagonal, factors->P + T * n_s * n_s);
   kpirl_mpc_mirror(factors->P + T * n_s * n_s, n_s);
   for (t = T - 1; t >= 0; --t) {
@@ -130,8 +128,9 @@ static real longest(const real *value, const real *change, int count, real share
 static void limit_lengths(kpirl_mpc_core *core, real regularisation) {
   kpirl_mpc_step *step = &core->step;
   const int m = kpirl_mpc_n_inequalities(core);
-  step->primal_length = longest(core->at.y, step->change.y, m, KPIRL_MPC_BOUNDARY);
-  step->dual_length = longest(core->at.z, step->change.z, m, kpirl_mpc_larger(KPIRL_MPC_BOUNDARY, 1 - step->tau));
+  step->share = kpirl_mpc_larger(KPIRL_MPC_BOUNDARY, 1 - step->tau / core->d.scale);
+  step->primal_length = longest(core->at.y, step->change.y, m, step->share);
+  step->dual_length = longest(core->at.z, step->change.z, m, step->share);
   step->regularisation = regularisation;
   step->positive = step->positive && kpirl_mpc_all_finite(step->change.x, kpirl_mpc_n_point(core));
 }

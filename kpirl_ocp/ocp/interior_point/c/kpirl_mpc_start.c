@@ -6,7 +6,7 @@
 
 #include <string.h>
 
-static const real PUSH = (real)1e-2; /* how far a cold start is moved inside its bounds, relative to size and distance */
+static const real PUSH = (real)0.4; /* how far a cold start is moved inside its bounds, relative to size and distance */
 
 /* x inside its bounds (Waechter and Biegler, 2006, section 3.6), and onto them where they coincide. */
 static void move_inside(const kpirl_mpc_core *core, real *x) {

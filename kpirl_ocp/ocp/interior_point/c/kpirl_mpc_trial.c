@@ -16,7 +16,7 @@ void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_meri
   kpirl_mpc_iterate *trial = &core->trial;
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_w = kpirl_mpc_n_point(core);
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core), bounds = kpirl_mpc_n_bounds(core);
-  const real least = REMAINDER * (1 - KPIRL_MPC_BOUNDARY);
+  const real least = REMAINDER * (1 - core->step.share);
   real *path = core->force + bounds, *equality = trial->nu + core->n_fixed, *g = trial->z;
   real objective = 0, theta;
   int i, outside = 0;
@@ -51,10 +51,11 @@ void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_meri
 real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length) {
   const int m = kpirl_mpc_n_inequalities(core);
   const real *before = core->at.y, *after = core->trial.y;
-  real most = KPIRL_MPC_BOUNDARY;
+  const real share = core->step.share;
+  real most = share;
   int i;
   for (i = 0; i < m; ++i) most = kpirl_mpc_larger((before[i] - after[i]) / before[i], most);
-  return length * (most > KPIRL_MPC_BOUNDARY ? kpirl_mpc_smaller(kpirl_mpc_larger(KPIRL_MPC_BOUNDARY / most, (real)0.5), (real)0.95) : (real)0.5);
+  return length * (most > share ? kpirl_mpc_smaller(kpirl_mpc_larger(share / most, (real)0.5), (real)0.95) : (real)0.5);
 }
 
 /* Slacks no smaller than what is left of the constraint, and multipliers near tau / y. */

@@ -1,0 +1,152 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * One iteration: a direction, and how far to go along it.
+ */
+#include "kpirl_mpc_core.h"
+
+#include <string.h>
+
+static const real SHORTEST = (real)1e-10; /* step length below which a line search gives up */
+static const real TINY = (real)1e-14;     /* relative step below which rounding decides, so that it is taken as it is */
+static const real STRONGEST = (real)1e10; /* regularisation, relative to the scale of the problem, that leads nowhere */
+static const real SUBPROBLEM = 10;        /* a barrier problem is solved when residuals are below so many tau */
+static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
+
+/* The Newton step, with as much regularisation as the pivots ask for; 0 if none is enough. */
+int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation) {
+  real rho = regularisation;
+  while (rho < STRONGEST * core->d.scale) {
+    kpirl_mpc_newton_step(core, rho);
+    if (core->step.positive) {
+      if (rho > 0) core->regularisation = rho;
+      return 1;
+    }
+    if (rho > 0)
+      rho *= core->regularisation > 0 ? 8 : 100;
+    else
+      rho = core->regularisation > 0 ? kpirl_mpc_larger(core->regularisation / 3, (real)1e-12) : (real)1e-4;
+  }
+  return 0;
+}
+
+/* Derivative of J - tau sum log y along the step. */
+static real slope_of(const kpirl_mpc_core *core) {
+  const kpirl_mpc_iterate *change = &core->step.change;
+  const int m = kpirl_mpc_n_inequalities(core);
+  real barrier = 0;
+  int i;
+  for (i = 0; i < m; ++i) barrier += change->y[i] / core->at.y[i];
+  return kpirl_mpc_dot(core->d.cost_gradient, change->x, kpirl_mpc_n_point(core)) - core->step.tau * barrier;
+}
+
+static void swap(kpirl_mpc_iterate *a, kpirl_mpc_iterate *b) {
+  const kpirl_mpc_iterate other = *a;
+  *a = *b;
+  *b = other;
+}
+
+/* Go to the trial point; `level` says how much to find out about it. */
+void kpirl_mpc_arrive(kpirl_mpc_core *core, int level) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  int i;
+  for (i = 0; i < m; ++i) core->trial.z[i] = core->at.z[i] + core->step.dual_length * core->step.change.z[i];
+  swap(&core->at, &core->trial);
+  kpirl_mpc_inequalities(core, core->at.x, core->force + core->n_lower + core->n_upper, core->d.g);
+  kpirl_mpc_centre(core);
+  kpirl_mpc_differentiate(core, level);
+}
+
+/* Move by the longest length that the filter accepts, if there is one. */
+static int move_along(kpirl_mpc_core *core) {
+  const kpirl_mpc_step *step = &core->step;
+  const int n_w = kpirl_mpc_n_point(core);
+  const int tiny = kpirl_mpc_largest(step->change.x, n_w) <= TINY * (1 + kpirl_mpc_largest(core->at.x, n_w));
+  const real slope = slope_of(core);
+  real length = step->primal_length;
+  kpirl_mpc_merit before, trial;
+  before.theta = core->d.violation;
+  before.phi = core->d.objective - step->tau * kpirl_mpc_log_sum(core->at.y, kpirl_mpc_n_inequalities(core));
+  while (length >= SHORTEST) {
+    ++core->trials;
+    kpirl_mpc_try(core, length, core->lifted, &trial);
+    if ((tiny && isfinite(trial.phi)) || kpirl_mpc_accepts(&core->filter, before, slope, length, trial)) {
+      core->step.primal_length = length;
+      kpirl_mpc_arrive(core, KPIRL_MPC_SECOND);
+      return 1;
+    }
+    length = isinf(trial.phi) ? kpirl_mpc_shortened(core, length) : length / 2;
+  }
+  return 0;
+}
+
+/* tau for Newton steps where the Hessian is not positive: back to where it was when that began, lowered only as the barrier
+ * problems are solved (Waechter and Biegler, 2006, section 2.1). A tau that a predictor chose on the way leaves no room to turn. */
+static void hold_tau(kpirl_mpc_core *core, real least) {
+  const real before = core->tau;
+  kpirl_mpc_residuals residuals;
+  core->tau = kpirl_mpc_larger(core->tau, core->indefinite_tau);
+  kpirl_mpc_find_residuals(core, core->tau, &residuals);
+  if (residuals.stationarity <= SUBPROBLEM * core->tau && residuals.feasibility <= SUBPROBLEM * core->tau &&
+      residuals.complementarity <= SUBPROBLEM * core->tau) {
+    const real lower = kpirl_mpc_smaller((real)0.2 * core->tau, kpirl_mpc_power(core->tau, (real)1.5));
+    core->indefinite_tau = core->tau = kpirl_mpc_larger(least, lower);
+  }
+  if (core->tau != before) kpirl_mpc_start_filter(&core->filter, core->d.violation);
+}
+
+/* Move along the corrected step where it is one to a minimum; else along Newton steps, regularised. Returns whether it moved. */
+int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least) {
+  real rho = 0;
+  int attempt;
+  core->trials = 0;
+  kpirl_mpc_corrected_step(core, least, kpirl_mpc_larger(core->tau, least));
+  if (core->step.positive) {
+    if (core->step.tau != core->tau) {
+      core->tau = core->step.tau;
+      kpirl_mpc_start_filter(&core->filter, core->d.violation);
+    }
+    if (move_along(core)) return 1;
+  } else {
+    hold_tau(core, least);
+  }
+  for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
+    if (!kpirl_mpc_find_positive_step(core, rho)) return 0;
+    if (move_along(core)) return 1;
+    rho = kpirl_mpc_larger(100 * core->step.regularisation, (real)1e-4);
+  }
+  return 0;
+}
+
+/* Move off a stationary point along negative curvature, to where the barrier function is lower. */
+static int move_off(kpirl_mpc_core *core, real sign) {
+  const int n_w = kpirl_mpc_n_point(core), m = kpirl_mpc_n_inequalities(core);
+  kpirl_mpc_step *step = &core->step;
+  kpirl_mpc_merit trial;
+  const real phi = core->d.objective - core->tau * kpirl_mpc_log_sum(core->at.y, m);
+  real length;
+  int i;
+  for (i = 0; i < n_w; ++i) step->change.x[i] *= sign;
+  for (i = 0; i < m; ++i) step->change.y[i] *= sign;
+  step->tau = core->tau;
+  step->share = KPIRL_MPC_BOUNDARY;
+  step->dual_length = 0;
+  for (length = 1; length >= SHORTEST; length /= 2) {
+    ++core->trials;
+    kpirl_mpc_try(core, length, 0, &trial);
+    if (trial.theta <= core->filter.small && trial.phi < phi - (real)0.1 * length * length) {
+      step->primal_length = length;
+      kpirl_mpc_arrive(core, KPIRL_MPC_SECOND);
+      return 1;
+    }
+  }
+  return 0;
+}
+
+/* At a point that meets the first-order conditions: 0 where it is a minimum, 1 where it is none and was left, -1 where it is
+ * none and no way led down from it. */
+int kpirl_mpc_escape(kpirl_mpc_core *core) {
+  core->trials = 0;
+  if (kpirl_mpc_factorise(core, 0)) return 0;
+  if (!kpirl_mpc_negative_curvature(core)) return -1;
+  return move_off(core, 1) || move_off(core, -1) ? 1 : -1;
+}
