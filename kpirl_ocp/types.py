@@ -111,11 +111,18 @@ class Status(Enum):
     DIVERGED = "the iterates diverged, or left the domain of a function. Use a smaller step size, or add effort weight."
     NOT_FINITE = "a function returned NaN or infinity. Check dynamics and costs at the guess, and their parameters."
     FAILED = "the solver gave up; its own message says why."
+    NOT_A_MINIMUM = (
+        "a stationary point that is no minimum: the Hessian is not positive there, and no way led down from it. "
+        "Pass another guess, or add effort weight."
+    )
+    ACCEPTABLE = (
+        "the KKT conditions hold as far as rounding lets them, short of the tolerance. Rescale the problem for more."
+    )
 
     @property
     def ok(self) -> bool:
         """True when the solver finished its task."""
-        return self in (Status.CONVERGED, Status.STEPS_TAKEN)
+        return self in (Status.CONVERGED, Status.STEPS_TAKEN, Status.ACCEPTABLE)
 
 
 @dataclass(frozen=True)

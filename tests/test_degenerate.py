@@ -124,16 +124,16 @@ FLAGGED = [
     ("dependent", Implicit(), "Active constraints depend on each other"),
     ("dependent_scaled", Implicit(), "Active constraints depend on each other"),
     ("redundant", Implicit(), NO_MINIMUM),
-    ("maximum", Implicit(), NO_MINIMUM),
+    ("maximum", Implicit(Ipopt()), NO_MINIMUM),
     ("maximum", Implicit(DESCENT), NO_MINIMUM),
     ("maximum", FiniteDifference(), "Right and left derivatives differ"),
-    ("saddle", Implicit(), NO_MINIMUM),
+    ("saddle", Implicit(Ipopt()), NO_MINIMUM),
     ("fold", Implicit(), ""),
     ("fold", FiniteDifference(), "Step sizes disagree"),
     ("fold_exactly", Implicit(), ""),
     ("quartic", Implicit(), ""),
     ("quartic", FiniteDifference(), "Right and left derivatives differ"),
-    ("tie", Implicit(), NO_MINIMUM),
+    ("tie", Implicit(Ipopt()), NO_MINIMUM),
     ("tie", FiniteDifference(), "Step sizes disagree"),
     ("plain", Implicit(Ipopt(max_iterations=1)), NEEDS_MORE),
     ("plain", Implicit(GradientDescent(1, 0.1)), NEEDS_MORE),
@@ -170,7 +170,17 @@ def test_gradient_that_cannot_be_trusted_is_flagged_with_its_remedy(
     assert caught.value.certificate.failures == certificate.failures
 
 
-@pytest.mark.parametrize("name", POINTS)
+STATIONARY = ["maximum", "saddle", "tie"]  # points at which Ipopt stays
+
+
+@pytest.mark.parametrize(("name", "minima"), zip(STATIONARY, [[0.5**0.5], [0.5**0.5], [1.0]], strict=True))
+def test_solver_leaves_stationary_points_that_are_no_minima(name: str, minima: list[float]) -> None:
+    result = POINTS[name].differentiate(Implicit(Riccati()))
+    assert result.certificate.certified
+    assert abs(result.certificate.solution.actions[0, -1]) == pytest.approx(minima[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("name", [name for name in POINTS if name not in STATIONARY])
 def test_certificate_does_not_depend_on_which_solver_found_the_solution(name: str) -> None:
     results = [POINTS[name].differentiate(Implicit(s, policy="flag")) for s in (Ipopt(), Riccati())]
     assert results[0].certificate.certified == results[1].certificate.certified == (name in ("plain", "small_cost"))

@@ -138,9 +138,9 @@ def test_unit_of_the_cost_does_not_change_the_actions(unit):
         stage_cost=ca.Function("l", [s, u, psi, c, d], [unit * problem.stage_cost(s, u, psi, c, d)]),
         terminal_cost=ca.Function("l_T", [s, psi, c, d], [unit * problem.terminal_cost(s, psi, c, d)]),
     )
-    solver = Riccati(tolerance=min(1e-10, 1e-10 * unit))
+    solver = Riccati(tolerance=min(1e-10, 1e-10 * unit))  # the smallest is what rounding leaves of feasibility
     found = solver.solve(scaled, case.demonstration.s0, case.psi, case.demonstration.context)
-    assert found.status is Status.CONVERGED
+    assert found.status.ok
     np.testing.assert_allclose(found.actions, solution("integrator").actions, rtol=0, atol=1e-6)
 
 

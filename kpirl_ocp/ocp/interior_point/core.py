@@ -22,16 +22,18 @@ from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 _PROBLEMS = 64  # whose memory and functions a thread keeps
-# In the order of the C enum; None: not a status of solves.
-_STATUS = (
-    Status.CONVERGED,
-    Status.STEPS_TAKEN,
-    Status.ITERATION_LIMIT,
-    Status.INFEASIBLE,
-    Status.STALLED,
-    Status.DIVERGED,
-    Status.NOT_FINITE,
-)
+_STATUS = {
+    0: Status.CONVERGED,
+    1: Status.STEPS_TAKEN,
+    2: Status.ITERATION_LIMIT,
+    3: Status.INFEASIBLE,
+    4: Status.STALLED,
+    5: Status.DIVERGED,
+    6: Status.NOT_FINITE,
+    10: Status.NOT_A_MINIMUM,
+    11: Status.ACCEPTABLE,
+}
+"""Values of the C enum kpirl_mpc_status that a solve ends with."""
 
 
 class Core:

@@ -8,7 +8,7 @@
 
 #include <string.h>
 
-static const real START = (real)0.1;      /* tau of a cold start, relative to the gradient of the objective there */
+static const real START = (real)0.1;      /* tau of a cold start, see start_tau */
 static const real WARM = (real)1e-3;      /* largest tau of a warm start */
 static const real LARGE = (real)100;      /* multipliers above this count as large */
 static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
@@ -171,6 +171,16 @@ static real warm_barrier(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   return isfinite(error) ? kpirl_mpc_smaller(kpirl_mpc_larger(error, final), WARM) : WARM;
 }
 
+/* Where the barrier weighs as a share of the objective: its gradient times the harmonic mean of the slacks, in any units. */
+static real start_tau(const kpirl_mpc_core *core) {
+  const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
+  const real gradient = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
+  real inverse = 0;
+  int i;
+  for (i = 0; i < m; ++i) inverse += 1 / core->at.y[i];
+  return START * (gradient > 0 ? gradient : 1) * (m > 0 ? (real)m / inverse : 1);
+}
+
 /* The iterate, its derivatives and a new filter; warm: with the multipliers of the start. */
 static void begin(kpirl_mpc_core *core, const kpirl_mpc_start *start, int warm) {
   const real barrier = (real)core->options.barrier;
@@ -182,7 +192,7 @@ static void begin(kpirl_mpc_core *core, const kpirl_mpc_start *start, int warm) 
   } else {
     kpirl_mpc_cold_start(core, start->x);
     if (barrier <= 0) kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
-    core->tau = barrier > 0 ? barrier : START * core->d.scale;
+    core->tau = barrier > 0 ? barrier : start_tau(core);
     for (i = 0; i < m; ++i) core->at.z[i] = core->tau / core->at.y[i];
   }
   core->regularisation = core->step.regularisation = 0;

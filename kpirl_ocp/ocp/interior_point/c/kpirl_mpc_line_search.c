@@ -10,6 +10,7 @@ static const real SHORTEST = (real)1e-10; /* step length below which a line sear
 static const real TINY = (real)1e-14;     /* relative step below which rounding decides, so that it is taken as it is */
 static const real STRONGEST = (real)1e10; /* regularisation, relative to the scale of the problem, that leads nowhere */
 static const real SUBPROBLEM = 10;        /* a barrier problem is solved when residuals are below so many tau */
+static const real FLAT = (real)1e-8;      /* curvature, relative to the largest, that counts as none */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
 
 /* The Newton step, with as much regularisation as the pivots ask for; 0 if none is enough. */
@@ -142,11 +143,12 @@ static int move_off(kpirl_mpc_core *core, real sign) {
   return 0;
 }
 
-/* At a point that meets the first-order conditions: 0 where it is a minimum, 1 where it is none and was left, -1 where it is
+/* At a point that meets the first-order conditions: 0 where it is a minimum, a flat one too, 1 where it is none and was left, -1 where it is
  * none and no way led down from it. */
 int kpirl_mpc_escape(kpirl_mpc_core *core) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), n_H = T * n_x * n_x + n_s * n_s;
   core->trials = 0;
-  if (kpirl_mpc_factorise(core, 0)) return 0;
+  if (kpirl_mpc_factorise(core, 0) || kpirl_mpc_factorise(core, FLAT * kpirl_mpc_largest(core->d.H, n_H))) return 0;
   if (!kpirl_mpc_negative_curvature(core)) return -1;
   return move_off(core, 1) || move_off(core, -1) ? 1 : -1;
 }

@@ -29,6 +29,16 @@ static void evaluate_inequalities(kpirl_mpc_core *core) {
   kpirl_mpc_inequalities(core, core->at.x, core->d.path, core->d.g);
 }
 
+/* The size of an entry of h or h_T: the largest that this row of h has at any stage; 1 where it is zero everywhere. */
+static real size_of_row(const kpirl_mpc_core *core, int entry) {
+  const int n_h = DIM(core, n_path), all = DIM(core, horizon) * n_h, stride = n_h > 0 ? n_h : 1;
+  real size = 0;
+  int i;
+  for (i = entry < all ? entry % n_h : entry; i < (entry < all ? all : entry + 1); i += stride)
+    size = kpirl_mpc_larger(kpirl_mpc_abs(core->d.path[i]), size);
+  return size > 0 ? size : 1;
+}
+
 void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x) {
   kpirl_mpc_iterate *at = &core->at;
   const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
@@ -46,7 +56,8 @@ void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x) {
   memset(at->nu, 0, (size_t)kpirl_mpc_n_equalities(core) * sizeof(real));
   memset(at->z, 0, (size_t)m * sizeof(real));
   evaluate_inequalities(core);
-  for (i = 0; i < m; ++i) at->y[i] = i < bounds ? -core->d.g[i] : kpirl_mpc_larger(-core->d.g[i], PUSH);
+  for (i = 0; i < bounds; ++i) at->y[i] = -core->d.g[i];
+  for (i = 0; i < m - bounds; ++i) at->y[bounds + i] = kpirl_mpc_larger(-core->d.path[i], PUSH * size_of_row(core, i));
 }
 
 void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, real tau) {
