@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import threading
-from collections.abc import Callable, Mapping
-from functools import lru_cache
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import casadi as ca
@@ -21,7 +23,7 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
-_PROBLEMS = 64  # whose memory and functions a thread keeps
+_PROBLEMS = 64  # whose memory and functions are kept
 _STATUS = {
     0: Status.CONVERGED,
     1: Status.STEPS_TAKEN,
@@ -239,12 +241,36 @@ def _read(address: int, size: int) -> Array:
     return np.ctypeslib.as_array((ctypes.c_double * size).from_address(address)).copy()
 
 
-_thread = threading.local()
+class _Cores:
+    """Cores that nobody uses at the moment, of the problems that were solved last. Shared by all threads."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as a forked process must: the lock may have been held."""
+        self._lock = threading.Lock()
+        self._idle: OrderedDict[OCP, list[Core]] = OrderedDict()
+
+    @contextmanager
+    def borrow(self, problem: OCP) -> Iterator[Core]:
+        """One that is idle, or a new one; it belongs to the caller until the context ends."""
+        with self._lock:
+            idle = self._idle.setdefault(problem, [])
+            self._idle.move_to_end(problem)
+            while len(self._idle) > _PROBLEMS:
+                self._idle.popitem(last=False)
+            core = idle.pop() if idle else None
+        core = core or Core(problem)
+        yield core
+        with self._lock:
+            idle.append(core)
 
 
-def core_of(problem: OCP) -> Core:
-    """This thread's core for a problem; the last `_PROBLEMS` are kept."""
-    make: Callable[[OCP], Core] | None = getattr(_thread, "make", None)
-    if make is None:
-        make = _thread.make = lru_cache(maxsize=_PROBLEMS)(Core)
-    return make(problem)
+_cores = _Cores()
+os.register_at_fork(after_in_child=_cores.forget)
+
+
+def borrow_core(problem: OCP) -> AbstractContextManager[Core]:
+    """A core for a problem, for the time of a context. Those of the last `_PROBLEMS` problems are kept."""
+    return _cores.borrow(problem)

@@ -27,7 +27,7 @@ _INPUTS = ("x", "psi", "context", "schedule", "costates", "z", "nu")
 _OUTPUTS = ("cost", "successor", "path", "equality"), ("cost_gradient", "gradient"), ("F", "G", "E", "H")
 _OF_DYNAMICS = ("costates", "successor", "F")  # which the end does not have
 _EXPANDED = 20_000  # nodes of a graph of matrices that is written out in scalars, at most
-_SHARED = 30_000  # operations among which common subexpressions are looked for, at most
+_SHARED = 3_000  # operations to look for common subexpressions among, at most: it takes longer than a solve
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.interior_point import library as c
-from kpirl_ocp.ocp.interior_point.core import Core, core_of
+from kpirl_ocp.ocp.interior_point.core import Core, borrow_core
 from kpirl_ocp.ocp.interior_point.machine_code import Compile
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives
@@ -67,14 +67,15 @@ class Riccati:
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
-        return self._solve(core_of(problem), s0, psi, context, guess)
+        with borrow_core(problem) as core:
+            return self._solve(core, s0, psi, context, guess)
 
     def solve_and_linearise(
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> tuple[Solution, StageDerivatives | None]:
         """`solve`, and the second derivatives that it ended with; see `LinearisingSolver`."""
-        core = core_of(problem)
-        return self._solve(core, s0, psi, context, guess), core.derivatives()
+        with borrow_core(problem) as core:
+            return self._solve(core, s0, psi, context, guess), core.derivatives()
 
     def _solve(self, core: Core, s0: ArrayLike, psi: ArrayLike, context: ArrayLike, guess: Guess) -> Solution:
         return core.solve(self._options(), self.compile, *core.problem.inputs(s0, psi, context), guess)
