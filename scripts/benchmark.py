@@ -17,6 +17,7 @@ from bench import (
     batches,
     ceilings,
     compile_times,
+    control,
     drawing,
     export,
     growth,
@@ -36,6 +37,7 @@ from kpirl_ocp.reporting import output_directory, run, write_metrics
 
 PARTS = {
     "ceilings": ceilings.measure,
+    "control": control.measure,
     "hypergradients": hypergradients.measure,
     "batches": batches.measure,
     "solvers": solvers.measure,
