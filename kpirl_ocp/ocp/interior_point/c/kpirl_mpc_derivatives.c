@@ -10,11 +10,11 @@
 static real scale_of(const kpirl_mpc_core *core) {
   const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
   real sizes[5];
-  sizes[0] = 1;
-  sizes[1] = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
-  sizes[2] = kpirl_mpc_largest(core->at.costates, DIM(core, horizon) * n_s);
-  sizes[3] = kpirl_mpc_largest(core->at.z + kpirl_mpc_n_bounds(core), m - kpirl_mpc_n_bounds(core));
-  sizes[4] = kpirl_mpc_largest(core->at.nu + core->n_fixed, kpirl_mpc_n_equalities(core) - core->n_fixed);
+  sizes[4] = 1;
+  sizes[0] = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
+  sizes[1] = kpirl_mpc_largest(core->at.costates, DIM(core, horizon) * n_s);
+  sizes[2] = kpirl_mpc_largest(core->at.z + kpirl_mpc_n_bounds(core), m - kpirl_mpc_n_bounds(core));
+  sizes[3] = kpirl_mpc_largest(core->at.nu + core->n_fixed, kpirl_mpc_n_equalities(core) - core->n_fixed);
   return kpirl_mpc_largest(sizes, 5);
 }
 

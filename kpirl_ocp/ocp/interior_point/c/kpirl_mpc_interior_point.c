@@ -8,15 +8,28 @@
 
 #include <string.h>
 
-static const real START = (real)0.1;      /* tau of a cold start, see start_tau */
+static const real START = (real)0.1;       /* tau of a cold start, see start_tau */
 static const real WARM = (real)1e-3;      /* largest tau of a warm start */
-static const real LARGE = (real)100;      /* multipliers above this count as large */
+static const real ROUNDING = 500 * KPIRL_MPC_EPSILON; /* of slack * multiplier, relative to `largest_product` */
 static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
 static const int IDLE = 5;                /* iterations without a smaller residual after which rounding is the floor */
 
-/* What complementarity may be off: a fifth of the tolerance, in units of the multipliers where these are large. */
+/* The largest multiplier times what its slack is a difference of: an entry of x and a bound; of h, taken as 1. */
+static real largest_product(const kpirl_mpc_core *core) {
+  const int m = kpirl_mpc_n_inequalities(core), low = core->n_lower, bounds = kpirl_mpc_n_bounds(core);
+  real most = kpirl_mpc_largest(core->at.z + bounds, m - bounds);
+  int i;
+  for (i = 0; i < bounds; ++i) {
+    const real x = core->at.x[i < low ? core->lower[i] : core->upper[i - low]];
+    most = kpirl_mpc_larger(kpirl_mpc_abs(x) * core->at.z[i], most);
+  }
+  return most;
+}
+
+/* What complementarity may be off: a fifth of the tolerance in units of the cost, unless rounding leaves more. The sum of all
+ * y z is the duality gap of a convex problem. */
 static real close_enough(const kpirl_mpc_core *core) {
-  return (real)core->options.tolerance / 5 * kpirl_mpc_larger(1, core->d.scale / LARGE);
+  return kpirl_mpc_larger((real)core->options.tolerance / 5, ROUNDING * largest_product(core));
 }
 
 /* The tau to stop at. */
@@ -32,8 +45,8 @@ static real worst(const kpirl_mpc_residuals *r) {
   return kpirl_mpc_largest(parts, 3);
 }
 
-/* Do the conditions hold, and complementarity as if multipliers were at most LARGE? Relative to larger multipliers alone,
- * the weakest of the active constraints would stay too far from its bound. */
+/* Do the conditions hold? Complementarity relative to the scale alone would leave the weakest of the active constraints too far
+ * from its bound. */
 static int solved(const kpirl_mpc_core *core) {
   kpirl_mpc_residuals residuals;
   kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
@@ -113,8 +126,32 @@ static int idle(kpirl_mpc_core *core) {
   return core->idle >= IDLE;
 }
 
+/* Where the barrier weighs as a share of the objective: its gradient times the harmonic mean of the slacks, in any units. */
+static real start_tau(const kpirl_mpc_core *core) {
+  const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
+  const real gradient = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
+  real inverse = 0;
+  int i;
+  for (i = 0; i < m; ++i) inverse += 1 / core->at.y[i];
+  return START * (gradient > 0 ? gradient : 1) * (m > 0 ? (real)m / inverse : 1);
+}
+
+/* Begin from core->at.x and its slacks: tau, multipliers, derivatives, and a new filter. */
+static void begin_here(kpirl_mpc_core *core, real tau) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  int i;
+  core->tau = core->indefinite_tau = tau;
+  for (i = 0; i < m; ++i) core->at.z[i] = kpirl_mpc_larger(core->at.z[i], tau / core->at.y[i]);
+  core->regularisation = 0;
+  core->step.positive = 0; /* there was no step yet */
+  core->best = (real)INFINITY;
+  core->idle = 0;
+  kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
+  kpirl_mpc_start_filter(&core->filter, core->d.violation);
+}
+
 /* A solution is no minimum where the Hessian is not positive. Newton steps that needed no regularisation know that it is. */
-static int to_be_examined(const kpirl_mpc_core *core) { return core->iterations == 0 || core->step.regularisation > 0; }
+static int to_be_examined(const kpirl_mpc_core *core) { return !core->step.positive || core->step.regularisation > 0; }
 
 static kpirl_mpc_status converge(kpirl_mpc_core *core) {
   for (;; ++core->iterations) {
@@ -122,6 +159,7 @@ static kpirl_mpc_status converge(kpirl_mpc_core *core) {
     if (solved(core)) {
       const int left = to_be_examined(core) ? kpirl_mpc_escape(core) : 0;
       if (left <= 0) return left ? KPIRL_MPC_NOT_A_MINIMUM : KPIRL_MPC_CONVERGED;
+      begin_here(core, core->options.barrier > 0 ? core->tau : kpirl_mpc_larger(core->tau, start_tau(core)));
       continue;
     }
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
@@ -171,36 +209,21 @@ static real warm_barrier(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   return isfinite(error) ? kpirl_mpc_smaller(kpirl_mpc_larger(error, final), WARM) : WARM;
 }
 
-/* Where the barrier weighs as a share of the objective: its gradient times the harmonic mean of the slacks, in any units. */
-static real start_tau(const kpirl_mpc_core *core) {
-  const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
-  const real gradient = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
-  real inverse = 0;
-  int i;
-  for (i = 0; i < m; ++i) inverse += 1 / core->at.y[i];
-  return START * (gradient > 0 ? gradient : 1) * (m > 0 ? (real)m / inverse : 1);
-}
-
 /* The iterate, its derivatives and a new filter; warm: with the multipliers of the start. */
 static void begin(kpirl_mpc_core *core, const kpirl_mpc_start *start, int warm) {
   const real barrier = (real)core->options.barrier;
-  const int m = kpirl_mpc_n_inequalities(core);
-  int i;
+  real tau = barrier;
   if (warm) {
-    core->tau = barrier > 0 ? barrier : warm_barrier(core, start);
-    kpirl_mpc_warm_start(core, start, core->tau);
+    if (barrier <= 0) tau = warm_barrier(core, start);
+    kpirl_mpc_warm_start(core, start, tau);
   } else {
     kpirl_mpc_cold_start(core, start->x);
-    if (barrier <= 0) kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
-    core->tau = barrier > 0 ? barrier : start_tau(core);
-    for (i = 0; i < m; ++i) core->at.z[i] = core->tau / core->at.y[i];
+    if (barrier <= 0) {
+      kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
+      tau = start_tau(core);
+    }
   }
-  core->regularisation = core->step.regularisation = 0;
-  core->indefinite_tau = core->tau;
-  core->best = (real)INFINITY;
-  core->idle = 0;
-  kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
-  kpirl_mpc_start_filter(&core->filter, core->d.violation);
+  begin_here(core, tau);
 }
 
 static int stuck(kpirl_mpc_status status) {

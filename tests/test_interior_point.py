@@ -1,0 +1,135 @@
+"""The interior-point method where it once went wrong: barriers, saddle points, rounding, infeasible sets, units."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from kpirl_ocp import OCP, Riccati, Status
+
+
+def integrator(horizon, n=1, step=0.1, **fields):
+    """s' = s + step u; the cost is given."""
+    s, u = ca.SX.sym("s", n), ca.SX.sym("u", n)
+    cost = fields.pop("cost")(s, u)
+    return OCP.from_expressions(state=s, action=u, horizon=horizon, dynamics=s + step * u, stage_cost=cost, **fields)
+
+
+@pytest.mark.parametrize("p", np.linspace(-3, 3, 25))
+@pytest.mark.parametrize("barrier", [1e-1, 1e-2, 1e-4])
+def test_barrier_problem_has_the_root_of_its_cubic(barrier, p):
+    """min (u - p)^2 - tau log(1 - u) - tau log(1 + u):  2 (u - p)(1 - u^2) + 2 tau u = 0 within |u| < 1."""
+    problem = integrator(1, cost=lambda s, u: (u - p) ** 2, action_bounds=(-1, 1))
+    found = Riccati(barrier=barrier).solve(problem, [0.0])
+    roots = np.roots([-1.0, p, 1.0 + barrier, -p])
+    (exact,) = [root.real for root in roots if abs(root.imag) < 1e-12 and abs(root) < 1]
+    assert found.status is Status.CONVERGED
+    assert found.actions[0, 0] == pytest.approx(exact, abs=1e-8)
+
+
+def test_indefinite_hessian_at_a_stationary_point_does_not_hold_the_method_up():
+    """The plan goes to a bound at once: u = 1 or -1 at both steps."""
+    problem = integrator(2, cost=lambda s, u: s**2 - u**2, action_bounds=(-1, 1))
+    found = Riccati().solve(problem, [0.3])
+    assert found.status is Status.CONVERGED
+    assert found.iterations <= 30
+    np.testing.assert_allclose(np.abs(found.actions), 1, rtol=0, atol=1e-8)
+
+
+def test_swing_up_from_exact_rest_leaves_the_saddle():
+    s, u = ca.SX.sym("s", 2), ca.SX.sym("u")
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=40,
+        action_bounds=(-12, 12),
+        dynamics=s + 0.05 * ca.vertcat(s[1], u - 9.81 * ca.sin(s[0])),
+        stage_cost=1 + ca.cos(s[0]) + 1e-3 * u**2,
+        terminal_cost=100 * (1 + ca.cos(s[0])) + s[1] ** 2,
+    )
+    found = Riccati().solve(problem, [0.0, 0.0])
+    assert found.status is Status.CONVERGED
+    assert np.cos(found.states[-1, 0]) < -0.99
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_without_bounds_a_maximum_is_no_solution(sign):
+    problem = integrator(1, cost=lambda s, u: sign * u**2)
+    assert Riccati().solve(problem, [0.0]).status is (Status.CONVERGED if sign > 0 else Status.DIVERGED)
+
+
+def test_flat_minimum_is_a_solution():
+    problem = integrator(2, 2, cost=lambda s, u: (u[0] + u[1] - 1) ** 2)
+    found = Riccati().solve(problem, [0.0, 0.0])
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.actions.sum(axis=1), 1, rtol=0, atol=1e-8)
+
+
+def test_feasible_set_without_interior_ends_without_a_crash():
+    """The only plans from (0.9, 2) within |s| <= 1 brake at once; with |u| <= 20 there are some, and few."""
+    s, u = ca.SX.sym("s", 2), ca.SX.sym("u")
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=30,
+        action_bounds=(-20, 20),
+        state_bounds=(-1, 1),
+        dynamics=s + 0.1 * ca.vertcat(s[1], u),
+        stage_cost=ca.sumsqr(s) + 1e-2 * u**2,
+    )
+    found = Riccati().solve(problem, [0.9, 2.0])
+    assert found.status in (Status.INFEASIBLE, Status.STALLED)  # 0.9 + 0.1 * 2 > 1
+    assert found.residuals.feasibility > 1e-3
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e-3, 1e3, 1e6])
+def test_units_of_cost_and_states_change_neither_the_plan_nor_the_iterations_by_much(unit):
+    def problem(cost_unit, length_unit):
+        s, u = ca.SX.sym("s", 2), ca.SX.sym("u")
+        place = s / length_unit
+        return OCP.from_expressions(
+            state=s,
+            action=u,
+            horizon=20,
+            action_bounds=(-length_unit, length_unit),
+            dynamics=s + 0.1 * ca.vertcat(s[1], u),
+            stage_cost=cost_unit * (ca.sumsqr(place - 1) + 0.1 * (u / length_unit) ** 2),
+        )
+
+    expected = Riccati(tolerance=1e-8).solve(problem(1.0, 1.0), [0.0, 0.0])
+    for cost_unit, length_unit in ((unit, 1.0), (1.0, unit)):
+        found = Riccati(tolerance=1e-8 * min(1, cost_unit)).solve(problem(cost_unit, length_unit), [0.0, 0.0])
+        assert found.status.ok
+        np.testing.assert_allclose(found.actions / length_unit, expected.actions, rtol=0, atol=1e-5)
+        assert found.iterations <= 2 * expected.iterations + 8
+
+
+def test_closed_loop_near_equilibrium_never_runs_to_the_iteration_limit():
+    """A double integrator whose weights span ten orders of magnitude, warm from period to period."""
+    s, u = ca.SX.sym("s", 2), ca.SX.sym("u")
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=20,
+        action_bounds=(-1, 1),
+        dynamics=s + 0.05 * ca.vertcat(s[1], ca.sin(u)),
+        stage_cost=1e5 * s[0] ** 2 + s[1] ** 2 + 1e-5 * u**2,
+    )
+    state, plan = np.array([0.01, 0.0]), None
+    for _ in range(60):
+        plan = Riccati().solve(problem, state, guess=plan)
+        assert plan.status.ok
+        assert plan.iterations < 60
+        state = plan.states[1]
+
+
+def test_lifted_steps_converge_from_states_that_do_not_follow_the_dynamics():
+    problem = integrator(
+        20, 2, cost=lambda s, u: ca.sumsqr(ca.sin(s) - 0.5) + 0.01 * ca.sumsqr(u), action_bounds=(-2, 2)
+    )
+    cold = Riccati().solve(problem, [0.0, 0.0])
+    wild = replace(cold.trajectory, states=np.random.default_rng(0).normal(size=(21, 2)))
+    found = Riccati().solve(problem, [0.0, 0.0], guess=wild)
+    assert found.status is Status.CONVERGED
+    assert found.objective == pytest.approx(cold.objective, rel=1e-6)
