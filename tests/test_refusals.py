@@ -7,7 +7,19 @@ import numpy as np
 import pytest
 from statements import CASES, PLAIN, C, P, Q, S, U, state
 
-from kpirl_ocp import OCP, Demonstration, Fatrop, GradientDescent, Ipopt, Soft, Status, Trajectory, discretise
+from kpirl_ocp import (
+    OCP,
+    SQP,
+    Demonstration,
+    Fatrop,
+    GradientDescent,
+    Ipopt,
+    Riccati,
+    Soft,
+    Status,
+    Trajectory,
+    discretise,
+)
 from kpirl_ocp.errors import ProblemError
 
 X = ca.MX.sym("x")
@@ -121,10 +133,14 @@ def test_a_wrong_argument_of_a_solve_is_refused_by_name(name, value):
         Ipopt().solve(problem, **arguments)
 
 
+EVERY = [Riccati(), Ipopt(), Fatrop(), SQP(), GradientDescent()]
+
+
 @pytest.mark.parametrize("guess", [np.zeros((12, 1)), "guess", 3])
-def test_a_guess_that_is_no_trajectory_is_refused(guess):
+@pytest.mark.parametrize("solver", EVERY, ids=lambda solver: type(solver).__name__)
+def test_a_guess_that_is_no_trajectory_is_refused(solver, guess):
     with pytest.raises(ProblemError, match="guess must be a Solution or a Trajectory"):
-        Ipopt().solve(state(), [0.0, 0.0], guess=guess)
+        solver.solve(state(), [0.0, 0.0], guess=guess)
 
 
 @pytest.mark.parametrize("solver", [Ipopt(), Fatrop()], ids=str)

@@ -28,8 +28,7 @@ from kpirl_ocp.ocp.problem.layout import (
     unpack_multipliers,
 )
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess
-from kpirl_ocp.ocp.problem.statement.checks import shown
+from kpirl_ocp.ocp.problem.solver import Guess, check_guess
 from kpirl_ocp.types import Array, KKTResiduals, Mask, Multipliers, Solution, Status, Trajectory
 
 
@@ -107,12 +106,11 @@ def starting_point(problem: OCP, s0: Array, psi: Array, context: Array, guess: G
 
     Raises ProblemError for a guess that is no trajectory of this problem, or has multipliers of other shapes.
     """
+    check_guess(guess)
     if guess is None:
         start = problem.simulate(s0, np.zeros((problem.horizon, problem.n_actions)), psi, context)
-    elif isinstance(guess, Solution | Trajectory):
-        start = Trajectory(problem.as_states(guess.states), problem.as_actions(guess.actions))
     else:
-        raise ProblemError(f"guess must be a Solution or a Trajectory, got {shown(guess)}.")
+        start = Trajectory(problem.as_states(guess.states), problem.as_actions(guess.actions))
     if isinstance(guess, Solution):
         _check_multipliers(problem, guess.multipliers)
     first = np.where(problem.free_start, start.states[0], s0)

@@ -20,7 +20,7 @@ from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives
+from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, check_guess
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 _PROBLEMS = 64  # whose memory and functions are kept
@@ -149,6 +149,7 @@ class Core:
 
     def _start(self, guess: Guess) -> list[Array]:
         """Arrays for `library.Start`."""
+        check_guess(guess)
         if guess is None:
             return []
         problem = self.problem

@@ -8,7 +8,9 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.types import Array, Solution, Trajectory
 
 Guess = Solution | Trajectory | None
@@ -62,6 +64,13 @@ def solve_and_linearise(
     return solver.solve(problem, s0, psi, context, guess), None
 
 
+def check_guess(guess: object) -> None:
+    """Raise ProblemError for a guess that is neither Solution, Trajectory nor None."""
+    if not isinstance(guess, Solution | Trajectory | None):
+        raise ProblemError(f"guess must be a Solution or a Trajectory, got {shown(guess)}.")
+
+
 def guess_actions(problem: OCP, guess: Guess) -> Array:
     """Actions (T, n_u) to start from: those of the guess, or zero."""
+    check_guess(guess)
     return np.zeros((problem.horizon, problem.n_actions)) if guess is None else problem.as_actions(guess.actions)

@@ -20,7 +20,8 @@ def horizon_of(value: object) -> int:
     """T as an int. Raises ProblemError unless it is a whole number between 1 and a million."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or not 1 <= value <= _LONGEST:  # type: ignore[operator]
-        raise ProblemError(f"horizon must be a whole number of at least 1 step and at most {_LONGEST}, got {value!r}.")
+        expected = f"a whole number of at least 1 step and at most {_LONGEST}"
+        raise ProblemError(f"horizon must be {expected}, got {shown(value)}.")
     return int(value)  # type: ignore[call-overload]
 
 
@@ -105,7 +106,7 @@ def _one_row(bound: Array, shape: tuple[int, ...]) -> Array:
 
 def shown(value: object) -> str:
     """A value for a message, cut where it is long."""
-    text = repr(value)
+    text = " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 

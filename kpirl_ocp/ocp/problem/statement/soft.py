@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.ocp.problem.statement.draft import Draft
 from kpirl_ocp.ocp.problem.statement.expressions import Expression, depends, expression_of, values_of
 
@@ -36,7 +37,7 @@ class Soft:
 def soften(draft: Draft, soft: Soft) -> None:
     """Add a soft constraint. Raises ProblemError for prices that do not bound the violation."""
     if not isinstance(soft, Soft):
-        raise ProblemError(f"soft must be a Soft(constraint, linear=.., quadratic=..), got {soft!r}.")
+        raise ProblemError(f"soft must be a Soft(constraint, linear=.., quadratic=..), got {shown(soft)}.")
     h = expression_of("soft.constraint", soft.constraint, draft.kind)
     prices = [_price(draft, name, getattr(soft, name), h.numel()) for name in ("linear", "quadratic")]
     _check_prices(*prices)
