@@ -1,4 +1,4 @@
-"""Whatever problems and solvers are handed, they answer with a status, or with an exception of the package in a line."""
+"""Whatever problems and solvers are handed, they answer with a status, or an exception of the package in a line."""
 
 import random
 
