@@ -1,0 +1,1 @@
+"""Classic problems with published optima, each stated through the public API."""
