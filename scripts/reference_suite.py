@@ -14,8 +14,8 @@ from kpirl_ocp.reporting import run
 
 HEADER = ("problem", "source", "T", "published", "found", "Riccati: iterations", "ms", "Ipopt: iterations", "ms")
 NOTE = (
-    "From the same guess, to a tolerance of 1e-9. Actions are constant over a step: the difference to the published value "
-    "falls with the number of steps T. Times are of one warm solve of each problem, Riccati without a compiler."
+    "From the same guess, to a tolerance of 1e-9. Actions are constant over a step: the difference to the published "
+    "value falls with the number of steps T. Times are of one warm solve of each problem, Riccati without a compiler."
 )
 
 
