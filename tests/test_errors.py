@@ -11,7 +11,7 @@ from kpirl_ocp.errors import CertificateError, EpisodeError, FileError, KpirlErr
 from kpirl_ocp.irl.hypergradients.certificate import Certificate
 from kpirl_ocp.types import KKTResiduals, Multipliers, Solution, Status, Trajectory
 
-ALL = [kind for _, kind in inspect.getmembers(errors, inspect.isclass)]
+ALL = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if kind.__module__ == errors.__name__]
 PLAIN = [kind for kind in ALL if kind is not CertificateError]
 
 
