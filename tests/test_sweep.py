@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import DependencyError, ProblemError
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
@@ -77,7 +77,7 @@ def test_dask_gives_the_same_results_as_this_machine(sweep, tmp_path):
 
 def test_a_backend_that_is_not_installed_says_how_to_get_it(sweep, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
-    with pytest.raises(ProblemError, match=r"pip install 'kpirl-ocp\[ray\]'"), sweep.backend("ray", None, 1):
+    with pytest.raises(DependencyError, match=r"pip install 'kpirl-ocp\[ray\]'"), sweep.backend("ray", None, 1):
         pass
 
 

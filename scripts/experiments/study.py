@@ -88,7 +88,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What every method learns from.
+    """The common input of all methods.
 
     train, test: demonstrations. actions: (T, n_u) of the training one. start: (9,) of the weights, the same for all.
     """
@@ -103,7 +103,7 @@ class Case:
 
     @classmethod
     def read(cls, directory: Path, seed: int, settings: StudySettings) -> Case:
-        """Of the episodes of a directory: the first for training, the others for testing."""
+        """The case of the episodes in a directory: the first for training, the others for testing."""
         robot, (episodes, _) = Robot.iiwa(), read_episodes(directory, Episode)
         demonstrations = [as_demonstration(robot, episode) for episode in episodes]
         start = np.random.default_rng(seed).uniform(0.5, 1.5, 3 * robot.n_keypoints)
@@ -114,7 +114,7 @@ class Case:
         return keypoint_ocp(self.robot, cost, self.settings.horizon).unconstrained()
 
     def curve(self, problem: OCP, solver: Solver, psis: Array, seconds: float) -> Curve:
-        """What psis (n, n_psi) are worth."""
+        """Losses and distances of psis (n, n_psi)."""
         trained = np.array([evaluate(problem, solver, psi, self.train).losses.mean() for psi in psis])
         tested = [evaluate(problem, solver, psi, self.test) for psi in psis]
         losses = np.array([result.losses.mean() for result in tested])

@@ -49,7 +49,7 @@ def jobs(
 
 
 def name_of(task: str, contender: Contender) -> str:
-    """Of the job."""
+    """Name of the job."""
     return f"background/{task}-{contender.label.replace(', ', '-').replace(' ', '-')}"
 
 

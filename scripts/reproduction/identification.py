@@ -1,4 +1,4 @@
-"""What the data determine of a learned cost: intervals of its weights, and how many directions are known.
+"""Identifiability of a learned cost from the data: intervals of its weights, and how many directions are known.
 
 Before learning, every coordinate could have a weight of about one, as the random starts have, and every step or kernel
 as much more again (the spread); the same in units of equal stiffness. Misfit counts as noise, and no detector is exact.

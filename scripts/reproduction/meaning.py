@@ -51,7 +51,7 @@ def _bars(weights: Sequence[Array], runs: Runs, contender: Contender, part: int)
 
 
 def known(page: Page, runs: Runs, title: str) -> None:
-    """How much of every cost was learned, in a sentence each."""
+    """The share of every cost that was learned, in a sentence each."""
     rows = []
     for name, group in _GROUPS.items():
         for contender in group:

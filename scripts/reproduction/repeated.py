@@ -43,7 +43,7 @@ def jobs(models: Models, found: dict[int, Setup], learned: dict[str, Result], ex
 
 
 def job_name(contender: Contender, start: int) -> str:
-    """Of the job."""
+    """Name of the job."""
     return f"placing-repeated/{contender.label.replace(', ', '-').replace(' ', '-')}-{start}"
 
 

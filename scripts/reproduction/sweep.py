@@ -20,7 +20,7 @@ import numpy as np
 from tqdm import tqdm
 
 from kpirl_ocp.episodes import atomic_write
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import DependencyError, ProblemError
 
 Result = dict[str, Any]
 BACKENDS = ("loky", "dask", "ray")
@@ -72,12 +72,14 @@ def backend(name: str, address: str | None, workers: int) -> Iterator[None]:
 
     A cluster's machines need the package, and the models at the same paths.
 
-    Raises ProblemError if the package of a backend is not installed.
+    Raises DependencyError if the package of a backend is not installed.
     """
     try:
         manager = {"loky": _loky, "dask": _dask, "ray": _ray}[name](address, workers)
     except ImportError as error:
-        raise ProblemError(f"--backend {name} needs its package: pip install 'kpirl-ocp[{name}]' ({error}).") from None
+        raise DependencyError(
+            f"--backend {name} needs its package: pip install 'kpirl-ocp[{name}]' ({error})."
+        ) from None
     with manager:
         yield
 

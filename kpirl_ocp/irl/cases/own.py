@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kpirl_ocp.errors import ProblemError, suggestion
+from kpirl_ocp.errors import FileError, ProblemError, suggestion
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
 
@@ -41,7 +41,8 @@ def load_own(place: str) -> OwnProblem:
     """Call the function at `FILE.py:FUNCTION` and check what it returns.
 
     Raises:
-        ProblemError: the file or function is missing or raises, or what it returns does not fit together.
+        FileError: there is no such Python file.
+        ProblemError: the function is missing, file or function raise, or the returned parts do not fit together.
     """
     path, _, name = place.rpartition(":")
     function = getattr(_module(Path(path)), name, None)
@@ -57,7 +58,7 @@ def load_own(place: str) -> OwnProblem:
 def _module(path: Path) -> Any:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.is_file():
-        raise ProblemError(f"there is no Python file {path}.")
+        raise FileError(f"there is no Python file {path}.")
     module = importlib.util.module_from_spec(spec)
     sys.path.insert(0, str(path.parent.resolve()))  # so that the file may import its neighbours
     try:

@@ -120,7 +120,7 @@ class Learner:
         return Box(*bounds_of("bounds", self.bounds, (self.problems[0].n_parameters,)))
 
     def _scaled(self, point: Point) -> Point:
-        """The same point in psi / scale."""
+        """The point in the coordinates psi / scale."""
         return point._replace(psi=point.psi / self._scale, gradient=point.gradient * self._scale)
 
     def _starts(self, near: Point | None) -> Sequence[Guess]:

@@ -33,7 +33,7 @@ class LearningResult:
 
     @classmethod
     def of(cls, best: Point, history: Sequence[tuple[Point, float]], interrupted: bool) -> LearningResult:
-        """Of the best point, and all points with the seconds since the start."""
+        """The result of the best point, and all points with the seconds since the start."""
         points = [point for point, _ in history]
         return cls(
             psi=best.psi,

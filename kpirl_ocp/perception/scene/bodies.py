@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
 
-from kpirl_ocp.errors import RobotError, SceneError
+from kpirl_ocp.errors import DependencyError, SceneError
 
 BOTTLE, GRIPPER, FLANGE = "bottle", "gripper", "lbr_iiwa_link_7"
 
@@ -57,10 +57,10 @@ HAND_SHAPES = (
 
 
 def iiwa_with_meshes() -> Path:
-    """The URDF of the iiwa in `pybullet_data`, whose meshes lie beside it. Raises RobotError without that package."""
+    """The URDF of the iiwa in `pybullet_data`, beside its meshes. Raises DependencyError without that package."""
     spec = importlib.util.find_spec("pybullet_data")
     if spec is None or spec.origin is None:
-        raise RobotError('the iiwa\'s meshes are in the package pybullet: pip install "kpirl-ocp[perception]".')
+        raise DependencyError('the iiwa\'s meshes are in the package pybullet: pip install "kpirl-ocp[perception]".')
     return Path(spec.origin).parent / "kuka_iiwa" / "model.urdf"
 
 

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import DependencyError, EpisodeError
 from kpirl_ocp.perception.data.formats.take import Take, VideoPart
 from kpirl_ocp.perception.data.video import Frames
 
@@ -45,7 +45,7 @@ def parquet() -> Any:
     try:
         return import_module("pyarrow.parquet")
     except ImportError as error:
-        raise EpisodeError('LeRobot data sets need the package pyarrow: pip install "kpirl-ocp[data]".') from error
+        raise DependencyError('LeRobot data sets need the package pyarrow: pip install "kpirl-ocp[data]".') from error
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.errors import DependencyError, EpisodeError
 from kpirl_ocp.perception.data.formats.take import Take
 from kpirl_ocp.perception.data.video import Frames
 
@@ -34,7 +34,7 @@ def read_robomimic(path: str | Path, split: str | None = None, rate: float | Non
     try:
         h5py: Any = import_module("h5py")
     except ImportError as error:
-        raise EpisodeError('robomimic data sets need the package h5py: pip install "kpirl-ocp[data]".') from error
+        raise DependencyError('robomimic data sets need the package h5py: pip install "kpirl-ocp[data]".') from error
     try:
         file = h5py.File(path, "r")
     except OSError as error:
