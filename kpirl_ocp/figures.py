@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from kpirl_ocp.pictures import COLOURS, GREY, PAGE, STYLE
+from kpirl_ocp.pictures import COLOURS, GREY, PAGE, STYLE, figure_class
 from kpirl_ocp.types import Array
 
 # What has a colour of its own in every figure.
@@ -27,7 +27,7 @@ def new_figure(rows: int, columns: int, width: float = 4.2, height: float = 3.3)
     """A figure with a grid of axes, row by row; no wider than a page, so that nobody shrinks its text."""
     size = (min(width * columns, PAGE), height * rows)
     with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=size, layout="constrained")
+        figure = figure_class()(figsize=size, layout="constrained")
         return figure, list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
 
 

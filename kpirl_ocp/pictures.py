@@ -9,6 +9,7 @@ import html
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -57,11 +58,21 @@ class Panel:
     log: bool = False
 
 
+@lru_cache(maxsize=1)
+def figure_class() -> type[Figure]:
+    """matplotlib's Figure, which a notebook shows without pyplot, too."""
+
+    class Picture(import_module("matplotlib.figure").Figure):  # type: ignore[misc]
+        def _repr_svg_(self) -> str:
+            return svg(self)
+
+    return Picture
+
+
 def draw(panels: Sequence[Panel], width: float = 3.6, height: float = 2.5) -> Figure:
     """One set of axes per panel, side by side."""
-    matplotlib, figures = import_module("matplotlib"), import_module("matplotlib.figure")
-    with matplotlib.rc_context(dict(STYLE)):
-        figure: Figure = figures.Figure(figsize=(width * len(panels), height), layout="constrained")
+    with import_module("matplotlib").rc_context(dict(STYLE)):
+        figure = figure_class()(figsize=(width * len(panels), height), layout="constrained")
         for axes, panel in zip(np.ravel(figure.subplots(1, len(panels))), panels, strict=True):
             _draw_panel(axes, panel)
     return figure

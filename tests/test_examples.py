@@ -1,5 +1,6 @@
 """The examples run, and print the numbers that are known."""
 
+import json
 import os
 import re
 import subprocess
@@ -38,3 +39,23 @@ def test_an_example_runs_is_short_and_prints_what_is_known(name):
     ran = subprocess.run([sys.executable, FOLDER / name], capture_output=True, text=True, env=environment, check=False)
     assert ran.returncode == 0, ran.stderr
     assert re.search(PRINTED.get(name, r"\S"), ran.stdout), ran.stdout
+
+
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+
+
+def test_there_are_two_notebooks_with_pictures():
+    assert len(NOTEBOOKS) >= 2
+    for path in NOTEBOOKS:
+        assert path.read_text().count("<svg") >= 2
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
+def test_a_notebook_prints_what_it_shows(path, capsys):
+    cells = [cell for cell in json.loads(path.read_text())["cells"] if cell["cell_type"] == "code"]
+    names: dict[str, object] = {}
+    for cell in cells:
+        exec("".join(cell["source"]), names)
+        shown = "".join("".join(output["text"]) for output in cell["outputs"] if output["output_type"] == "stream")
+        assert capsys.readouterr().out == shown
+        assert not [output for output in cell["outputs"] if output["output_type"] == "error"]

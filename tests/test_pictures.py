@@ -82,6 +82,10 @@ def test_a_plotted_solution_is_the_solution_with_its_bounds(problem, solution):
     assert len(plot(solution).axes[1].patches) == 1
 
 
+def test_a_notebook_shows_what_plot_returns(solution):
+    assert ET.fromstring(plot(solution)._repr_svg_()).tag.endswith("svg")
+
+
 def test_plotted_learning_is_its_loss_and_its_parameters(results):
     learning = results["learning"]
     loss, parameters = plot(learning).axes
