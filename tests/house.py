@@ -178,7 +178,7 @@ class House:
                 yield f"{path} has more than {MOST_LINES} lines"
             parts = Path(path).parts
             files[Path(path).parent.as_posix()].add(parts[-1])
-            for name in _nounless_docstrings(text):
+            for name in nounless_docstrings(text):
                 yield f"{path}: the docstring of {name} begins with What, How or See"
             if parts[0] in ORDER and len(parts) == 2 and parts[1] != "__init__.py":
                 yield f"{path} is in no room"
@@ -230,7 +230,7 @@ def _says_what_it_is(source):
     return bool(docstring) and docstring.splitlines()[0].endswith(".")
 
 
-def _nounless_docstrings(source):
+def nounless_docstrings(source):
     """Names of what has a docstring that begins with a question word, or a mere reference, where a noun belongs."""
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
     for node in ast.walk(ast.parse(source)):
