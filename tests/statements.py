@@ -14,6 +14,8 @@ from kpirl_ocp import OCP, Soft, discretise
 T, DT = 12, 0.2
 S, U = ca.MX.sym("s", 2), ca.MX.sym("u")
 P, C, Q = ca.MX.sym("p"), ca.MX.sym("c"), ca.MX.sym("q")
+PSI = ca.MX.sym("psi", 2)  # the weight of the action in all costs, and a number of the case's own
+EFFORT, OWN = PSI[0], PSI[1]
 D, E = ca.MX.sym("d"), ca.MX.sym("d", 2)
 
 
@@ -29,8 +31,8 @@ def pendulum(s, u, dt=DT, mass=1.0):
     return ca.vertcat(s[0] + dt * speed, speed)
 
 
-def cost(s, u):
-    return (s[0] - 1) ** 2 + 0.1 * s[1] ** 2 + 0.05 * u**2
+def cost(s, u, effort=0.05):
+    return (s[0] - 1) ** 2 + 0.1 * s[1] ** 2 + effort * u**2
 
 
 def last_cost(s):
@@ -39,11 +41,16 @@ def last_cost(s):
 
 PLAIN = {"state": S, "action": U, "dynamics": pendulum(S, U), "stage_cost": cost(S, U), "terminal_cost": last_cost(S)}
 PLAIN |= {"horizon": T}
-REST = ([0.0, 0.0],)
+NUMBERS = [0.05, 0.4]  # psi
+REST = ([0.0, 0.0], NUMBERS)
 
 
 def state(**changes):
     return OCP.from_expressions(**(PLAIN | changes))
+
+
+def learned(**changes):
+    return OCP.from_expressions(**(PLAIN | {"parameters": PSI, "stage_cost": cost(S, U, EFFORT)} | changes))
 
 
 def follow(opti, X, U, step=pendulum):
@@ -146,18 +153,18 @@ def soft(opti, X, U):
 def periodic(opti, X, U):
     opti.subject_to(X[:, 0] == X[:, T])
     opti.subject_to(ca.vec(X[:, 1:]) == ca.vertcat(*(pendulum(X[:, t], U[:, t]) for t in range(T))))
-    return sum((X[0, t] - np.sin(PHASE[t])) ** 2 + 0.02 * U[0, t] ** 2 for t in range(T))
+    return sum((X[0, t] - np.sin(PHASE[t])) ** 2 + 0.05 * U[0, t] ** 2 for t in range(T))
 
 
 def identification(opti, X, U):
-    """No actions: the stiffness and the first speed are found from measured positions."""
+    """No actions: the stiffness, which has a prior, and the first speed are found from measured positions."""
     q = opti.variable()
     opti.set_initial(q, 1.0)
     opti.subject_to(X[0, 0] == 1)
     opti.subject_to(opti.bounded(-1, X[1, 0], 1))
     opti.subject_to(opti.bounded(0.1, q, 5))
     opti.subject_to(ca.vec(X[:, 1:]) == ca.vertcat(*(runge_kutta(X[:, t], q) for t in range(T))))
-    return ca.sumsqr(X[0, :] - MEASURED.T)
+    return ca.sumsqr(X[0, :] - MEASURED.T) + 0.4 * (q - 1) ** 2
 
 
 def no_state_cost(opti, X, U):
@@ -180,7 +187,7 @@ def runge_kutta(s, q, dt=DT):
 
 
 GRID = np.geomspace(0.1, 0.3, T + 1)[:, None]
-FORCE = np.linspace(2.0, 0.2, T)[:, None]
+FORCE = np.linspace(3.0, 1.0, T)[:, None]
 SPEED = np.column_stack([np.full(T + 1, np.inf), np.linspace(0.2, 0.5, T + 1)])
 PHASE = 2 * np.pi * np.arange(T + 1) / T
 MEASURED = np.cos(1.2 * DT * np.arange(T + 1))[:, None] + 0.01 * np.sin(7.0 * np.arange(T + 1))[:, None]
@@ -188,61 +195,60 @@ STEP = Q / T
 TWO = ca.MX.sym("q", 2)
 
 CASES = {
-    "terminal equality": lambda: Case(state(terminal_equality=S - ca.DM([0.6, 0])), REST, terminal_equality),
-    "path equality": lambda: Case(state(path_equality=U + 0.8 * S[1] - 0.3 * ca.cos(S[0])), REST, path_equality),
-    "terminal inequality": lambda: Case(state(terminal_constraint=ca.sumsqr(S) - 0.4), REST, terminal_inequality),
-    "states alone": lambda: Case(state(path_constraint=ca.sumsqr(S) - 0.5), REST, disc),
+    "terminal equality": lambda: Case(learned(terminal_equality=S - ca.vertcat(1.5 * OWN, 0)), REST, terminal_equality),
+    "path equality": lambda: Case(learned(path_equality=U + 2 * OWN * S[1] - 0.3 * ca.cos(S[0])), REST, path_equality),
+    "terminal inequality": lambda: Case(learned(terminal_constraint=ca.sumsqr(S) - OWN), REST, terminal_inequality),
+    "states alone": lambda: Case(learned(path_constraint=ca.sumsqr(S) - 1.25 * OWN), REST, disc),
     "context and schedule in the dynamics": lambda: Case(
-        state(
+        learned(
             context=C,
             stage=D,
             dynamics=pendulum(S, U, D, C),
-            stage_cost=D * cost(S, U),
+            stage_cost=D * cost(S, U, EFFORT),
             schedule=GRID,
         ),
-        (*REST, [], [1.7]),
+        (*REST, [1.7]),
         context_and_schedule,
     ),
     "bounds per stage": lambda: Case(
-        state(action_bounds=(-1, FORCE), state_bounds=(-np.inf, SPEED)), REST, bounds_per_stage
+        learned(action_bounds=(-1, FORCE), state_bounds=(-np.inf, SPEED)), REST, bounds_per_stage
     ),
     "bounds of parameters": lambda: Case(
-        state(parameters=P, action_bounds=(-2 * P, 4 * P), state_bounds=(-np.inf, ca.vertcat(2, P))),
-        ([0.0, 0.35], [0.3]),
+        learned(action_bounds=(-2 * OWN, 4 * OWN), state_bounds=(-np.inf, ca.vertcat(2, OWN))),
+        ([0.0, 0.35], [0.05, 0.3]),
         bounds_of_parameters,
     ),
-    "free start": lambda: Case(state(initial_bounds=([-0.5, -0.2], [-0.1, 0.3])), REST, free_start),
+    "free start": lambda: Case(learned(initial_bounds=([-0.5, -0.2], [-0.1, 0.3])), REST, free_start),
     "partly free start": lambda: Case(
-        state(initial_bounds=([0, -1], [0, 1]), state_bounds=(-np.inf, [np.inf, 0.4])),
-        ([0.1, 0.0],),
+        learned(initial_bounds=([0, -1], [0, 1]), state_bounds=(-np.inf, [np.inf, 0.4])),
+        ([0.1, 0.0], NUMBERS),
         partly_free_start,
     ),
     "free final time": lambda: Case(
-        state(
+        learned(
             static=Q,
             static_bounds=(0.1, 10),
             dynamics=ca.vertcat(S[0] + STEP * S[1] + STEP**2 / 2 * U, S[1] + STEP * U),
             stage_cost=0.0,
             terminal_cost=Q,
             terminal_equality=S - ca.DM([1, 0]),
-            action_bounds=(-1, 1),
+            action_bounds=(-1, 0.6 + OWN),
         ),
         REST,
         final_time,
     ),
     "soft constraints": lambda: Case(
-        state(
-            parameters=P,
-            soft=Soft(ca.vertcat(S[0] - 0.5, U - 1.5), linear=ca.vertcat(P, 0.02), quadratic=ca.vertcat(0.7, 1.0)),
+        learned(
+            soft=Soft(ca.vertcat(S[0] - 0.5, U - 1.5), linear=ca.vertcat(OWN, 0.02), quadratic=ca.vertcat(0.7, 1.0)),
         ),
-        (*REST, [0.4]),
+        REST,
         soft,
     ),
     "periodic": lambda: Case(
-        state(
+        learned(
             static=TWO,
             stage=E,
-            stage_cost=(S[0] - ca.sin(E[0])) ** 2 + 0.02 * U**2,
+            stage_cost=(S[0] - ca.sin(E[0])) ** 2 + EFFORT * U**2,
             terminal_cost=0.0,
             initial_bounds=(-np.inf, np.inf),
             path_equality=E[1] * (S - TWO),
@@ -253,22 +259,22 @@ CASES = {
         periodic,
     ),
     "identification without actions": lambda: Case(
-        state(
+        learned(
             action=None,
             static=Q,
             static_bounds=(0.1, 5),
             stage=D,
             dynamics=discretise(ca.vertcat(S[1], -Q * S[0]), S, step=DT),
             stage_cost=(S[0] - D) ** 2,
-            terminal_cost=(S[0] - D) ** 2,
+            terminal_cost=(S[0] - D) ** 2 + OWN * (Q - 1) ** 2,
             initial_bounds=([1, -1], [1, 1]),
             schedule=MEASURED,
         ),
-        ([1.0, 0.0],),
+        ([1.0, 0.0], NUMBERS),
         identification,
     ),
     "no cost of states": lambda: Case(
-        state(stage_cost=U**2, terminal_cost=0.0, terminal_equality=S[0] - 1), REST, no_state_cost
+        learned(stage_cost=U**2, terminal_cost=0.0, terminal_equality=S[0] - 2.5 * OWN), REST, no_state_cost
     ),
 }
 

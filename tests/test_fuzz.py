@@ -51,7 +51,7 @@ def test_arguments_of_anything(seed):
     problems = [state(), *(CASES[name]().problem for name in ("bounds of parameters", "soft constraints"))]
     for _ in range(8):
         problem = draw.choice(problems)
-        arguments = {"s0": [0, 0], "psi": [0.3] * problem.n_parameters, "context": [], "guess": None}
+        arguments = {"s0": [0, 0], "psi": [0.05, 0.3][: problem.n_parameters], "context": [], "guess": None}
         changes = {name: draw.choice(ANYTHING) for name in draw.sample(list(arguments), draw.choice([1, 2]))}
         for solver in SOLVERS:
             count += refused(lambda s=solver, p=problem, a=arguments | changes: s.solve(p, **a))

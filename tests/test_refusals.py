@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from statements import CASES, PLAIN, C, P, Q, S, U, state
+from statements import CASES, NUMBERS, PLAIN, C, P, Q, S, U, state
 
 from kpirl_ocp import (
     OCP,
@@ -128,7 +128,7 @@ BAD = {
 @pytest.mark.parametrize("name", ["s0", "psi", "context"])
 def test_a_wrong_argument_of_a_solve_is_refused_by_name(name, value):
     problem = CASES["context and schedule in the dynamics"]().problem
-    arguments = {"s0": [0.0, 0.0], "psi": [], "context": [1.7]} | {name: BAD[value]}
+    arguments = {"s0": [0.0, 0.0], "psi": NUMBERS, "context": [1.7]} | {name: BAD[value]}
     with pytest.raises(ProblemError, match=f"^{name} must (be|have)"):
         Ipopt().solve(problem, **arguments)
 
@@ -146,7 +146,8 @@ def test_a_guess_that_is_no_trajectory_is_refused(solver, guess):
 @pytest.mark.parametrize("solver", [Ipopt(), Fatrop()], ids=str)
 def test_numbers_that_are_not_finite_or_huge_end_in_a_status(solver):
     problem, arguments, _ = CASES["bounds of parameters"]()
-    for s0, psi in (([np.nan, 0], [0.3]), ([0, 0.3], [np.nan]), ([np.inf, 0], [0.3]), ([1e300, 0], [0.3])):
+    known = [0.05, 0.3]
+    for s0, psi in (([np.nan, 0], known), ([0, 0.3], [0.05, np.nan]), ([np.inf, 0], known), ([1e300, 0], known)):
         found = solver.solve(problem, s0, psi)
         assert found.status is Status.NOT_FINITE
     nowhere = Trajectory(np.full((13, 2), np.nan), np.zeros((12, 1)))
@@ -204,7 +205,9 @@ def test_derivatives_by_hand_are_refused_where_the_dynamics_see_the_stage():
 def test_a_demonstration_may_leave_out_added_states():
     problem = CASES["free final time"]().problem
     seen = Demonstration([0.0, 0.0], [], np.zeros((13, 2)))
-    np.testing.assert_array_equal(problem.inputs(seen.s0, [], [])[0], [0, 0, 5.05])  # the middle of the bounds of q
+    np.testing.assert_array_equal(
+        problem.inputs(seen.s0, NUMBERS, [])[0], [0, 0, 5.05]
+    )  # the middle of the bounds of q
     assert problem.n_observations == 2
     assert OCP.from_expressions(**PLAIN).n_observations == 2
 

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from problems import TABLE
-from statements import CASES, GRID, TWO, D, S, T, U, optimum, state
+from statements import CASES, GRID, NUMBERS, TWO, D, S, T, U, optimum, state
 
 from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Riccati, Soft, Status
 from kpirl_ocp.errors import ProblemError
@@ -127,10 +127,10 @@ def test_dynamics_that_see_the_context_are_simulated_with_it():
     for t in range(T):
         speed = expected[-1][1] + GRID[t, 0] * (actions[t, 0] / 1.7 - np.sin(expected[-1][0]))
         expected.append(np.array([expected[-1][0] + GRID[t, 0] * speed, speed]))
-    found = problem.simulate([0.0, 0.0], actions, context=[1.7])
+    found = problem.simulate([0.0, 0.0], actions, NUMBERS, [1.7])
     np.testing.assert_allclose(found.states, expected, rtol=0, atol=1e-14)
     with pytest.raises(ProblemError, match="context must have length 1, got 0"):
-        problem.simulate([0.0, 0.0], actions)
+        problem.simulate([0.0, 0.0], actions, NUMBERS)
 
 
 @pytest.mark.parametrize("name", TABLE)
