@@ -1,7 +1,8 @@
 """Identifiability of a learned cost from the data: intervals of its weights, and how many directions are known.
 
-Before learning, every coordinate could have a weight of about one, as the random starts have, and every step or kernel
-as much more again (the spread); the same in units of equal stiffness. Misfit counts as noise, and no detector is exact.
+Before learning, every coordinate could have a weight as large as the random starts, or as the weights turned out
+where those are larger, and every step or kernel as much more again (the spread); the same in units of equal stiffness.
+Misfit counts as noise, and no detector is exact.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ def identified(
     basis, slope = family.basis.matrix(horizon), weight_slopes(family.positivity, psi)
     plans = [learned.cost.solver.solve(problem, demo.s0, psi, demo.context) for demo in demonstrations]
     gains = np.mean([squared_gains(problem, plan.trajectory, psi) for plan in plans], axis=0)  # (T, n_z)
-    unit = (1 / inner.effort if converged else 1.0) / slope  # a weight of about one, as at the start
+    size = max(1 / inner.effort if converged else 1.0, float(np.sqrt(np.mean(learned.cost.weights**2))))
+    unit = size / slope
     rows = averages(basis, n_z) * slope
     noise = max(DETECTION, float(np.sqrt(learned.losses[learned.best] / (horizon * n_z))))
     together = alike(basis.shape[1], n_z)

@@ -76,7 +76,7 @@ def known(page: Page, runs: Runs, title: str) -> None:
         "of single keypoints",
     ]
     note = (
-        "Mean over seeds. A direction is known when the data confine it to less than a weight of one (or its "
+        "Mean over seeds. A direction is known when the data confine it to less than weights are large (or their "
         "stiffness); noise in image half-widths, misfit included. The other directions kept their start. Weights are "
         "means over time with 90 % intervals, in brackets where the data do not determine them."
     )
