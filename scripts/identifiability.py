@@ -144,7 +144,7 @@ def draw(errors: dict[str, Array], bar: float, path: Path) -> Path:
         axis.plot(counts, middle, ".-", color=colour, label=f"{name} (median, quartiles)")
         axis.fill_between(counts, low, high, color=colour, alpha=0.15, lw=0)
     axis.axhline(bar, color=figures.GREY, linestyle=":")
-    axis.set(xlabel="demonstrations", ylabel="r.m.s. error of log-weights", yscale="log")
+    axis.set(xlabel="demonstrations", ylabel="r.m.s. error of log-weights", ylim=(0, None))
     axis.grid(alpha=0.3, which="both")
     axis.legend(title="next demonstration", fontsize=8)
     return figures.save(figure, path)

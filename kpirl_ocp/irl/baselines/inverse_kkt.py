@@ -22,10 +22,13 @@ from kpirl_ocp.types import Array, Demonstration
 def inverse_kkt(problem: OCP, demonstrations: Sequence[Demonstration], actions: Sequence[Array]) -> Array:
     """psi (n_psi,), not negative, with sum one: only ratios of weights can be told from stationarity.
 
-    problem: without inequalities; its cost is linear in psi and zero at psi = 0 (an effort weight is one of them).
-    actions: (T, n_u) of every demonstration.
+    Args:
+        problem: without constraints; its cost is linear in psi and zero at psi = 0 (an effort weight is one of them).
+        demonstrations: of which s0 and context count.
+        actions: (T, n_u) of every demonstration.
 
-    Raises ProblemError for other problems.
+    Raises:
+        ProblemError: another problem.
     """
     found = conditions(problem, demonstrations, actions)
     if any(np.abs(one.gradient).max() > 1e-12 * np.abs(one.gradients).max() for one in found):

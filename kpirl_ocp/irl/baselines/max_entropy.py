@@ -29,9 +29,14 @@ def max_entropy(
 ) -> Array:
     """psi (n_psi,), positive, of the highest approximate likelihood, by L-BFGS on its logarithm from psi0 > 0.
 
-    problem: without inequalities; its cost is linear in psi. actions: (T, n_u) of every demonstration.
+    Args:
+        problem: without constraints; its cost is linear in psi.
+        demonstrations: of which s0 and context count.
+        actions: (T, n_u) of every demonstration.
+        psi0: (n_psi,).
 
-    Raises ProblemError for other problems, and if the Hessian is not positive definite at psi0.
+    Raises:
+        ProblemError: another problem, or a Hessian that is not positive definite at psi0.
     """
     found, start = conditions(problem, demonstrations, actions), np.asarray(psi0, float)
     if not (start > 0).all():

@@ -48,10 +48,16 @@ def single_level(
 ) -> SingleLevelResult:
     """Learn psi >= 0 with the sum of psi0 (n_psi,), by Ipopt, from the plans for psi0.
 
-    problem: without inequalities; equalities are welcome. solver: plans for psi0 from the guess, where the
-    program starts.
+    Args:
+        problem: without inequalities; equalities are welcome.
+        demonstrations: to come near.
+        psi0: (n_psi,).
+        solver: plans for psi0 from the guess, where the program starts.
+        guess: of these plans.
+        max_iterations: of Ipopt.
 
-    Raises ProblemError for bounds and inequalities: complementarity is no equation that Ipopt could solve.
+    Raises:
+        ProblemError: bounds or inequalities, as complementarity is no equation that Ipopt could solve.
     """
     if live_inequalities(problem).any() or np.isfinite(limits(problem)).any():
         raise ProblemError("single-level IOC knows no inequalities: pass problem.unconstrained().")

@@ -28,8 +28,14 @@ def expected_information(
 ) -> Array:
     """Expected information [nats] of a demonstration from each candidate (n,); the largest is the one to ask for.
 
-    candidates: their s0 and context count; what they observe does not.
-    method: as in `identify`.
+    Args:
+        problem: as in `identify`.
+        found: of the demonstrations so far.
+        candidates: of which s0 and context count; what they observe does not.
+        method: as in `identify`.
+
+    Raises:
+        CertificateError: a plan has no certified derivative, under the policy "raise".
     """
     root = np.linalg.cholesky(found.posterior + 1e-15 * found.spread @ found.spread.T) / found.noise
     gains = []

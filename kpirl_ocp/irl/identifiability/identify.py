@@ -142,10 +142,14 @@ def identify(
 ) -> Identification:
     """Evidence of demonstrations about a learned psi (n_psi,).
 
-    spread: standard deviations of psi before learning, a number or (n_psi,); or S (n_psi, n_psi), see `Identification`.
-        `gains.stiffness` gives units that make axes comparable.
-    noise: standard deviation of the observations; by default from the residuals, which counts misfit as noise.
-    method: how the plan depends on psi: `Implicit` for the converged problem, `Unrolled` for gradient steps.
+    Args:
+        problem: whose plans imitate the demonstrations.
+        demonstrations: that psi was learned from.
+        psi: (n_psi,), near the minimum of the IRL loss.
+        spread: standard deviations of psi before learning, a number or (n_psi,); or S (n_psi, n_psi), see
+            `Identification`. `gains.stiffness` gives units that make axes comparable.
+        noise: standard deviation of the observations; by default from the residuals, which counts misfit as noise.
+        method: how the plan depends on psi: `Implicit` for the converged problem, `Unrolled` for gradient steps.
 
     Raises:
         CertificateError: a plan has no certified derivative, under the policy "raise".

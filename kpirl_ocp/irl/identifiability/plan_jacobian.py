@@ -43,7 +43,11 @@ class PlanJacobian(NamedTuple):
 def plan_jacobian(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method: Hypergradient) -> PlanJacobian:
     """Plan from the start of a demonstration with psi (n_psi,), and differentiate the observations.
 
-    method: `Implicit` for the converged problem, `Unrolled` for a number of gradient steps; its loss does not matter.
+    Args:
+        problem: to plan with.
+        demonstration: of which s0 and context count.
+        psi: (n_psi,).
+        method: `Implicit` for the converged problem, `Unrolled` for gradient steps; its loss does not matter.
 
     Raises:
         CertificateError: under the policy "raise", when the plan has no certified derivative.
