@@ -1,5 +1,6 @@
 """Solvers that run in CasADi: statuses of infeasible and unbounded problems, threads, and an end in any case."""
 
+import gc
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -103,3 +104,15 @@ def test_fatrop_in_this_process_takes_the_same_steps():
     here, there = (Fatrop(time_limit=limit).solve(state(action_bounds=(-1, 1)), [0.0, 0.0]) for limit in (None, 60.0))
     np.testing.assert_array_equal(here.states, there.states)
     assert here.iterations == there.iterations
+
+
+def test_fatrop_tells_problems_apart_while_others_come_and_go():
+    kept = state(stage_cost=(S[0] - 1) ** 2 + 0.05 * U**2)
+    expected = Fatrop().solve(kept, [0.0, 0.0]).objective
+    for target in range(3):  # none of these outlives its solve
+        solver, here = Fatrop(), Fatrop(time_limit=None)
+        problem = state(stage_cost=(S[0] - target) ** 2 + 0.05 * U**2)
+        assert solver.solve(problem, [0.0, 0.0]).objective == here.solve(problem, [0.0, 0.0]).objective
+        del problem
+        gc.collect()
+    assert Fatrop().solve(kept, [0.0, 0.0]).objective == expected

@@ -1,4 +1,4 @@
-"""Is there a feasible point near a given one? For solvers that do not say why they gave up.
+"""The least violation of the constraints near a point, for solvers that do not say why they gave up.
 
     minimise  |g_E(w)|^2 / 2 + |g_I(w) + y|^2 / 2     over w within its bounds and y >= 0
 

@@ -154,7 +154,7 @@ class OCP(Arrays):
         return {name: self.__dict__[name] for name in self.__dataclass_fields__}
 
     def unconstrained(self) -> OCP:
-        """The same problem without bounds and constraints other than the dynamics, as in the paper.
+        """This problem without bounds and constraints other than the dynamics, as in the paper.
 
         Raises ProblemError where slacks of a soft constraint would be left without it.
         """

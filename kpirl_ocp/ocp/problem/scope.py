@@ -22,7 +22,7 @@ def features(problem: OCP) -> dict[str, bool]:
     }
 
 
-def refuse_features(problem: OCP, solver: str, alternative: str = "Ipopt()") -> None:
+def refuse_features(problem: OCP, solver: str, alternative: str = "Riccati() or Ipopt()") -> None:
     """Raise ProblemError, naming them and an alternative, if the problem has any of `features`."""
     found = [name for name, present in features(problem).items() if present]
     if found:

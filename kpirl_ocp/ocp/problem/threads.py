@@ -17,7 +17,7 @@ _R = TypeVar("_R")
 
 
 def one_at_a_time(method: Callable[_P, _R]) -> Callable[_P, _R]:
-    """The same callable, for one thread at a time over all that are marked so."""
+    """A callable guarded so that one thread at a time is in any of those that are guarded."""
 
     @wraps(method)
     def guarded(*args: _P.args, **kwargs: _P.kwargs) -> _R:

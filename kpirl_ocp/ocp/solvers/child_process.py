@@ -16,6 +16,8 @@ from weakref import WeakKeyDictionary
 
 from kpirl_ocp.ocp.problem.ocp import OCP
 
+_MOST = 64  # problems that one process keeps
+
 
 class ChildProcess:
     """Calls `method(problem, *arguments)` elsewhere; method is picklable, as bound methods of solvers are."""
@@ -24,6 +26,7 @@ class ChildProcess:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._known: WeakKeyDictionary[OCP, int] = WeakKeyDictionary()
+        self._sent = 0
 
     def call(self, limit: float, method: Callable[..., Any], problem: OCP, *arguments: Any) -> Any:
         """The result, or None if there was none within the limit [s], or the process died.
@@ -50,8 +53,11 @@ class ChildProcess:
         return result
 
     def _begin(self) -> tuple[Connection, Connection]:
+        if self._sent >= _MOST:
+            self._end()
         if self._process is None or self._process.poll() is not None:
             self._known.clear()
+            self._sent = 0
             self._process = subprocess.Popen(
                 [sys.executable, "-c", f"from {__name__} import serve; serve()"],
                 stdin=subprocess.PIPE,
@@ -63,8 +69,12 @@ class ChildProcess:
         return self._ends
 
     def _number(self, problem: OCP) -> tuple[int, bool]:
-        new = problem not in self._known
-        return self._known.setdefault(problem, len(self._known)), new
+        """The number of a problem, and whether it has to be sent."""
+        if problem in self._known:
+            return self._known[problem], False
+        self._known[problem] = self._sent
+        self._sent += 1
+        return self._known[problem], True
 
     def _end(self) -> None:
         if self._process is not None:

@@ -160,7 +160,7 @@ class _Program:
 
 
 def _finite(problem: OCP, w: Array, psi: Array, context: Array) -> bool:
-    """Are all functions and their gradients, at the start? Fatrop does not end where they are not."""
+    """True if all functions and their gradients are finite at the start; Fatrop does not end where they are not."""
     program = transcribe(problem)
     ones = [np.ones(n) for n in lengths(problem)[1:]]
     values = [*program.values(w, psi, context), *program.first(w, psi, context, *ones)]

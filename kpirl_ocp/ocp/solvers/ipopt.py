@@ -49,7 +49,7 @@ class Ipopt:
             raise ProblemError("Ipopt needs tolerance > 0, barrier >= 0 and max_iterations >= 1.")
 
     def with_barrier(self, barrier: float) -> Ipopt:
-        """The same solver for the smoothed problem."""
+        """This solver for the problem smoothed with tau = barrier."""
         return replace(self, barrier=barrier)
 
     @one_at_a_time
