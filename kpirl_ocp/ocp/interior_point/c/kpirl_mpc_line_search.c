@@ -11,6 +11,9 @@ static const real TINY = (real)1e-14;     /* relative step below which rounding 
 static const real STRONGEST = (real)1e10; /* regularisation, relative to the scale of the problem, that leads nowhere */
 static const real SUBPROBLEM = 10;        /* a barrier problem is solved when residuals are below so many tau */
 static const real FLAT = (real)1e-8;      /* curvature, relative to the largest, that counts as none */
+static const real USEFUL = (real)0.01;     /* fraction of a corrected step below which plain Newton steps do better */
+static const real SMALL = (real)1e-3;      /* violation up to which tau falls as it may */
+static const real KEPT = (real)1e-3;       /* share of its start above which tau stays in proportion to the violation */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
 
 /* The Newton step, with as much regularisation as the pivots ask for; 0 if none is enough. */
@@ -57,17 +60,18 @@ void kpirl_mpc_arrive(kpirl_mpc_core *core, int level) {
   kpirl_mpc_differentiate(core, level);
 }
 
-/* Move by the longest length that the filter accepts, if there is one. */
-static int move_along(kpirl_mpc_core *core) {
+/* Move by the longest length that the filter accepts, if there is one above a fraction `least` of the whole step. */
+static int move_along(kpirl_mpc_core *core, real least) {
   const kpirl_mpc_step *step = &core->step;
   const int n_w = kpirl_mpc_n_point(core);
   const int tiny = kpirl_mpc_largest(step->change.x, n_w) <= TINY * (1 + kpirl_mpc_largest(core->at.x, n_w));
   const real slope = slope_of(core);
+  const real shortest = kpirl_mpc_larger(SHORTEST, least * step->primal_length);
   real length = step->primal_length;
   kpirl_mpc_merit before, trial;
   before.theta = core->d.violation;
   before.phi = core->d.objective - step->tau * kpirl_mpc_log_sum(core->at.y, kpirl_mpc_n_inequalities(core));
-  while (length >= SHORTEST) {
+  while (length >= shortest) {
     ++core->trials;
     kpirl_mpc_try(core, length, core->lifted, &trial);
     if ((tiny && isfinite(trial.phi)) || kpirl_mpc_accepts(&core->filter, before, slope, length, trial)) {
@@ -100,19 +104,24 @@ int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least) {
   real rho = 0;
   int attempt;
   core->trials = 0;
+  core->most_violation = kpirl_mpc_larger(core->d.violation, core->most_violation);
+  if (core->options.barrier <= 0 && core->d.violation > SMALL) {
+    const real kept = KEPT * core->start_tau * core->d.violation / core->most_violation;
+    least = kpirl_mpc_larger(least, kpirl_mpc_smaller(kept, core->tau));
+  }
   kpirl_mpc_corrected_step(core, least, kpirl_mpc_larger(core->tau, least));
   if (core->step.positive) {
     if (core->step.tau != core->tau) {
       core->tau = core->step.tau;
       kpirl_mpc_start_filter(&core->filter, core->d.violation);
     }
-    if (move_along(core)) return 1;
+    if (move_along(core, USEFUL)) return 1;
   } else {
     hold_tau(core, least);
   }
   for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
     if (!kpirl_mpc_find_positive_step(core, rho)) return 0;
-    if (move_along(core)) return 1;
+    if (move_along(core, 0)) return 1;
     rho = kpirl_mpc_larger(100 * core->step.regularisation, (real)1e-4);
   }
   return 0;
