@@ -51,7 +51,7 @@ class Program:
     def rows(self) -> ca.MX:
         """g, the live rows of g_E and then of g_I: an expression of the symbols."""
         _, *parts = self.values(*self.symbols)
-        return ca.vertcat(*(part[np.flatnonzero(on).tolist()] for part, on in zip(parts, self.live, strict=True)))
+        return ca.vertcat(*(selected(part, on) for part, on in zip(parts, self.live, strict=True)))
 
     @property
     def lower(self) -> Array:
@@ -91,6 +91,11 @@ def transcribe(problem: OCP) -> Program:
         first=ca.Function("first", [*symbols, lam, mu], slopes),
         live=(live_equalities(problem), live_inequalities(problem)),
     )
+
+
+def selected(column: ca.MX, rows: Mask) -> ca.MX:
+    """These rows of a column, (0, 1) if there are none."""
+    return column[np.flatnonzero(rows).tolist()] if rows.any() else ca.MX(0, 1)
 
 
 def limits_from(problem: OCP, s0: Array) -> tuple[Array, Array]:

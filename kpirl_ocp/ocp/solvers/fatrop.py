@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.conditions.feasibility import infeasible
-from kpirl_ocp.ocp.conditions.program import not_started, starting_point, trajectory_of, transcribe
+from kpirl_ocp.ocp.conditions.program import not_started, selected, starting_point, trajectory_of, transcribe
 from kpirl_ocp.ocp.problem.layout import lengths, pack, unpack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
@@ -215,14 +215,12 @@ def _blocks(problem: OCP, s0: ca.MX, point: Sequence[ca.MX]) -> Iterator[tuple[i
     states, live = point[0], problem.live
     gaps = states[:, 1:] - problem.at_stages(problem.dynamics, *point)
     equalities, path = problem.at_stages(problem.path_equality, *point), problem.path(*point)
-    given = np.flatnonzero(~problem.free_start).tolist()
     for t in range(problem.horizon):
         yield t, "dynamics", gaps[:, t]
         if t == 0:
-            yield t, "start", states[given, 0] - s0[given]
-        yield t, "path_equality", equalities[np.flatnonzero(live.path_equality[t]).tolist(), t]
-        yield t, "path", path[np.flatnonzero(live.path[t]).tolist(), t]
+            yield t, "start", selected(states[:, 0] - s0, ~problem.free_start)
+        yield t, "path_equality", selected(equalities[:, t], live.path_equality[t])
+        yield t, "path", selected(path[:, t], live.path[t])
     ends = {"terminal_equality": problem.terminal_equality, "terminal": problem.terminal_inequality}
     for name, function in ends.items():
-        rows = problem.at_end(function, *point)
-        yield problem.horizon, name, rows[np.flatnonzero(getattr(live, name)).tolist()]
+        yield problem.horizon, name, selected(problem.at_end(function, *point), getattr(live, name))
