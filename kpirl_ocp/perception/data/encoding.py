@@ -18,17 +18,20 @@ Codec = Literal["ffv1", "h264"]
 _ENCODERS = {"ffv1": ("ffv1", "bgr0"), "h264": ("libx264", "yuv420p")}  # codec: encoder, pixel format
 
 
-def write_video(path: str | Path, frames: Iterable[Frames], rate: float, codec: Codec = "ffv1") -> Path:
+def write_video(
+    path: str | Path, frames: Iterable[Frames], rate: float, codec: Codec = "ffv1", quality: int | None = None
+) -> Path:
     """Write frames (n, H, W, 3) uint8 RGB, or one frame after another, at `rate` [Hz].
 
     codec: "ffv1" in .avi is lossless; "h264" in .mp4 is not, and an odd last row or column is left out.
+    quality: constant rate factor of H.264, from 0, the best, to 51; None for x264's own.
 
     Raises FileError for frames of another kind, or if the file cannot be written.
     """
     path = Path(path)
     part = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        _encode(part, path, frames, rate, codec)
+        _encode(part, path, frames, rate, codec, quality)
     except (OSError, av.error.FFmpegError) as error:
         raise FileError(f"{path} cannot be written as {codec}; does the directory exist? ({error})") from error
     except BaseException:
@@ -38,11 +41,12 @@ def write_video(path: str | Path, frames: Iterable[Frames], rate: float, codec: 
     return path
 
 
-def _encode(part: Path, path: Path, frames: Iterable[Frames], rate: float, codec: Codec) -> None:
+def _encode(part: Path, path: Path, frames: Iterable[Frames], rate: float, codec: Codec, quality: int | None) -> None:
     encoder, pixels = _ENCODERS[codec]
+    options = {} if quality is None else {"crf": str(quality)}
     shape: tuple[int, ...] = ()
     with av.open(str(part), "w") as container:
-        stream: Any = container.add_stream(encoder, rate=Fraction(rate).limit_denominator(1001))
+        stream: Any = container.add_stream(encoder, rate=Fraction(rate).limit_denominator(1001), options=options)
         stream.pix_fmt = pixels
         for image in map(np.asarray, frames):
             if image.ndim != 3 or image.shape != (shape or (*image.shape[:2], 3)) or image.dtype != np.uint8:

@@ -20,6 +20,7 @@ from kpirl_ocp.errors import ProblemError, SceneError
 from kpirl_ocp.motion import forward_then_down, minimum_jerk
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.recordings import ArmRecording, GroundTruth
+from kpirl_ocp.perception.data.surroundings import SURROUNDINGS_HELP, filmed
 from kpirl_ocp.perception.scene.bodies import BOTTLE
 from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path, wandering_path
 from kpirl_ocp.perception.scene.posture import UPRIGHT, inverse_kinematics
@@ -73,6 +74,7 @@ class ArmMotion(_Checked, ABC):
     """A motion of the robot, recorded with its encoders and camera."""
 
     rate: int = setting(5, "frames per second, a divisor of 240")
+    surroundings: int = setting(0, SURROUNDINGS_HELP, 0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -105,7 +107,7 @@ class LastJoint(ArmMotion):
             return start + np.outer(swing, np.eye(7)[6])
 
         with Scene(rate=self.rate) as scene:
-            return _follow(scene, _visible(scene, draw))
+            return _follow(scene, _visible(scene, draw), rng, self.surroundings)
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ class Sines(ArmMotion):
             return _posture(rng) + np.column_stack(sines)
 
         with Scene(rate=self.rate) as scene:
-            return _follow(scene, _visible(scene, draw))
+            return _follow(scene, _visible(scene, draw), rng, self.surroundings)
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,8 @@ class Placing(ArmMotion):
         with Scene(rate=self.rate) as scene:
             reference = _visible(scene, draw)
             spread = np.where(_IN_PLANE, self.noise, self.others)
-            return _follow(scene, reference, rng.normal(0.0, spread, (self.steps, 7)))
+            noise = rng.normal(0.0, spread, (self.steps, 7))
+            return _follow(scene, reference, rng, self.surroundings, noise)
 
 
 @dataclass(frozen=True)
@@ -175,7 +178,7 @@ class Reaching(ArmMotion):
             return _carried(path, UPRIGHT)
 
         with Scene(rate=self.rate) as scene:
-            return _follow(scene, _visible(scene, draw))
+            return _follow(scene, _visible(scene, draw), rng, self.surroundings)
 
 
 @dataclass(frozen=True)
@@ -185,6 +188,7 @@ class HandMotion(_Checked, ABC):
     rate: int = setting(int(RATE), "frames per second")
     seconds: float = setting(2.0, "length of the clip", 0.1)
     tremor: float = setting(1e-3, "standard deviation of the hand's wander [m]", 0.0)
+    surroundings: int = setting(0, SURROUNDINGS_HELP, 0)
 
     @abstractmethod
     def path(self, rng: np.random.Generator) -> Array:
@@ -194,6 +198,7 @@ class HandMotion(_Checked, ABC):
         """Film one clip: the truth to `path`, the video beside it."""
         with HandScene() as scene:
             frames = [scene.look(position) for position in self.path(rng)]
+        frames = filmed(frames, self.surroundings, rng)
         write_video(path.with_suffix(".avi"), np.array([frame.rgb for frame in frames]), self.rate)
         write_episode(path, GroundTruth(**GroundTruth.columns(frames, self.rate)))
 
@@ -273,13 +278,16 @@ def _position(scene: Scene, theta: Array) -> Array:
     return scene.link_pose(BOTTLE)[1]
 
 
-def _follow(scene: Scene, reference: Array, noise: Array | None = None) -> ArmRecording:
+def _follow(
+    scene: Scene, reference: Array, rng: np.random.Generator, surroundings: int, noise: Array | None = None
+) -> ArmRecording:
     """Record the robot following joint positions (T+1, 7) [rad]; every action aims at the next one."""
     states, frames, actions = [scene.reset(reference[0])], [scene.render()], []
     for step, target in enumerate(reference[1:]):
         actions.append(target - states[-1].positions + (0.0 if noise is None else noise[step]))
         states.append(scene.step(actions[-1]))
         frames.append(scene.render())
+    frames = filmed(frames, surroundings, rng)
     return ArmRecording(
         **ArmRecording.columns(frames, scene.rate),
         images=np.array([frame.rgb for frame in frames]),

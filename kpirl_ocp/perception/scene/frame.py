@@ -15,8 +15,10 @@ class Frame:
     """An image and the bottle in it.
 
     rgb: (H, W, 3) uint8. bottle: (H, W) bool, the pixels that show it. place: (2,) its projected middle [pixels].
+    parts: (H, W) numbers of the rigid bodies that the pixels show, -1 for the wall behind them; None if unknown.
     """
 
     rgb: NDArray[np.uint8]
     bottle: Mask
     place: Array
+    parts: NDArray[np.int64] | None = None

@@ -75,4 +75,4 @@ class World:
         # A label is body + (link + 1) * 2^24; -1 is the background.
         bottle = (labels >= 0) & (labels & 0xFFFFFF == body) & ((labels >> 24) - 1 == link)
         rgb = np.array(rgba, dtype=np.uint8).reshape(*shape, 4)[..., :3].copy()
-        return Frame(rgb, bottle, camera.project(position))
+        return Frame(rgb, bottle, camera.project(position), labels)
