@@ -2,6 +2,7 @@
 # make paper: all experiments of the paper, with a report.      make study: its simulation study alone.
 # make docs: the pages as a web site in out/site.
 # make benchmark: timings beside torch, JAX, Fatrop and Ipopt.
+# make hands: the networks that find hands in films, from the package registry; for kpirl learn-video.
 # make models: camera data, keypoint detector and dynamics at the paper's scale (SEED=0, MODELS=out/models).
 PYTHON ?= $(firstword $(shell command -v python3.11 python3.10 python3))
 BIN := .venv/bin
@@ -13,7 +14,7 @@ MODELS := out/models
 COLLECT = $(BIN)/python scripts/collect_data.py
 DYNAMICS = $(BIN)/python scripts/train_dynamics.py --seed $(SEED) --detector $(MODELS)/detector/detector.json
 
-.PHONY: demo paper test study benchmark models docs clean
+.PHONY: demo paper test study benchmark hands models docs clean
 
 demo: .venv/installed-perception
 	$(BIN)/python scripts/visual_demo.py --out out/demo
@@ -26,6 +27,10 @@ study: .venv/installed
 
 benchmark: .venv/installed-bench
 	$(BIN)/python scripts/benchmark.py --out out/benchmark
+
+hands: .venv/installed-perception
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[hands]"
+	$(BIN)/python -m kpirl_ocp.perception.hands.networks
 
 # Training data has the seed 10 SEED, held-out data 10 SEED + 2; 10 SEED + 1 served development.
 # One thread, so that the same seed gives the same models.

@@ -45,6 +45,7 @@ ORDER = {
     "perception": [
         ("scene",),
         ("data",),
+        ("hands",),
         ("tracking",),
         ("detector", "dynamics"),
         ("plant",),

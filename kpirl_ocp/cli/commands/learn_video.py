@@ -19,7 +19,7 @@ from kpirl_ocp.perception.detector.film_tracks import detector_tracks
 from kpirl_ocp.perception.tracking.admission import moving_part, refusal
 from kpirl_ocp.perception.tracking.pictures import evenly, track_film, track_sheet
 from kpirl_ocp.perception.tracking.tracks import Tracks, read_tracks, write_tracks
-from kpirl_ocp.perception.tracking.watch import Film, extent, find_object, follow_object
+from kpirl_ocp.perception.tracking.watch import Film, extent, find_object, follow_hand, follow_object
 from kpirl_ocp.reporting import table, write_metrics
 from kpirl_ocp.types import Array
 
@@ -53,6 +53,8 @@ def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:
     if args.tracks:
         tracks = read_tracks(args.tracks, rate=args.source_rate, size=film.first().shape[1::-1])
         tracks = tracks.between(film.start, min(film.end, float(tracks.times[-1])))
+    elif args.hand:
+        tracks = follow_hand(film)
     elif args.detector:
         tracks = detector_tracks(film, args.detector)
     else:

@@ -25,6 +25,7 @@ def add_options(parser: ArgumentParser) -> None:
     which = watch.add_mutually_exclusive_group()
     which.add_argument("--box", type=pixels(4), metavar="X0,Y0,X1,Y1", help="around the object in the first frame")
     which.add_argument("--points", type=pixels(2), nargs="+", metavar="X,Y", help="on the object in the first frame")
+    which.add_argument("--hand", action="store_true", help="follow the hand itself (needs the extra `hands`)")
     which.add_argument("--tracks", type=existing_file, help=".npz or .csv with tracks of the object's keypoints")
     which.add_argument("--detector", type=existing_file, help="card of a trained keypoint detector")
     arm = parser.add_argument_group("the arm")

@@ -24,10 +24,12 @@ from kpirl_ocp.irl.learning.optimisers import LBFGS
 from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, TimeDependent
 from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Robot
+from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, Demonstration, Solution
 
 _SOLVER = Riccati(tolerance=1e-9)
+_PROGRESS = 0.05  # relative fall of the loss with which it is worth beginning again
 _OUT_OF_REACH = 0.1  # relative distance that the arm's best path may keep from the demonstration
 
 
@@ -104,12 +106,31 @@ def learn_in_image(
     cost = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
     psi0 = cost.initial(horizon, n_z, np.ones((horizon, n_z)))
     problem = setting.problem(robot, cost, horizon)
-    result = learn(problem, [demonstration], psi0, Implicit(_SOLVER), LBFGS(), iterations)
+    result = _learn_on(problem, demonstration, psi0, iterations)
     start = demonstration.s0[n_z : n_z + robot.n_joints]
     way = demonstration.observations[-1] - demonstration.observations[0]
     learned = LearnedCost(cost, result.psi, horizon, _SOLVER, setting, start, way, rate)
     plan = plan_from(learned, robot, start)
     return CameraLearning(learned, result, path_distance(plan.states[:, :n_z], demonstration.observations))
+
+
+def _learn_on(problem: OCP, demonstration: Demonstration, psi0: Array, iterations: int) -> LearningResult:
+    """Learn, and begin again with a new memory where L-BFGS gets stuck, as long as that helps."""
+    result = learn(problem, [demonstration], psi0, Implicit(_SOLVER), LBFGS(), iterations)
+    while (left := iterations + 1 - len(result.losses)) > 0:
+        more = learn(problem, [demonstration], result.psi, Implicit(_SOLVER), LBFGS(), left)
+        stuck = more.loss > (1 - _PROGRESS) * result.loss
+        result = LearningResult(
+            psi=more.psi,
+            loss=more.loss,
+            losses=np.concatenate([result.losses, more.losses[1:]]),
+            psis=np.concatenate([result.psis, more.psis[1:]]),
+            seconds=np.concatenate([result.seconds, result.seconds[-1] + more.seconds[1:]]),
+            uncertified=np.concatenate([result.uncertified, more.uncertified[1:]]),
+        )
+        if stuck:
+            break
+    return result
 
 
 def plan_from(learned: LearnedCost, robot: Robot, theta: Array) -> Solution:

@@ -113,7 +113,7 @@ def _noisy(frames: Sequence[Frame], rng: np.random.Generator) -> list[Frame]:
 
 
 def _compressed(frames: Sequence[Frame], quality: int) -> list[Frame]:
-    """What H.264 leaves of the frames at a constant rate factor."""
+    """The frames after H.264 at a constant rate factor."""
     with tempfile.TemporaryDirectory() as folder:
         path = write_video(Path(folder) / "clip.mp4", (f.rgb for f in frames), 30, codec="h264", quality=quality)
         return [_with(frame, image) for frame, (_, image) in zip(frames, decode(path), strict=True)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from kpirl_ocp.errors import DemonstrationError
 from kpirl_ocp.perception.data.video import Frames, iterate_frames
+from kpirl_ocp.perception.hands.landmarks import PALM, Hand, find_hands, hands_are_installed
 from kpirl_ocp.perception.tracking import objects
 from kpirl_ocp.perception.tracking.tracker import track
 from kpirl_ocp.perception.tracking.tracks import Tracks, of_object, spread
@@ -51,7 +52,48 @@ def find_object(film: Film, box: ArrayLike | None = None, points: ArrayLike | No
         return objects.in_box(film.first(), box)
     if points is not None:
         return objects.around(film.first(), points)
-    return objects.moving(film.frames())
+    return objects.moving(film.frames(), _hands(film.first()))
+
+
+def _hands(image: Frames) -> Mask | None:
+    """The hands in an image (H, W); None without the extra `hands`, or where there is none."""
+    if not hands_are_installed():
+        return None
+    found = [hand.mask(image.shape) for hand in find_hands(image)]
+    return np.any(found, axis=0) if found else None
+
+
+def follow_hand(film: Film, landmarks: Sequence[int] = PALM) -> Tracks:
+    """Tracks of landmarks of the hand that is surest in the first frame, by default four points of its palm.
+
+    Where it is not found the landmarks stay, with a confidence of zero.
+
+    Raises:
+        DependencyError: the extra `hands` or its networks are missing.
+        DemonstrationError: the first frame shows no hand.
+    """
+    times, positions, confidence = [], [], []
+    before: Array | None = None
+    for time, image in tqdm(film.frames(), f"follow the hand in {film.path.name}", unit="frame"):
+        found = find_hands(image)
+        if before is None and not found:
+            raise DemonstrationError(f"{film.path} shows no hand at {film.start + time:.2f} s: start where it does.")
+        hand = _nearest(found, before)
+        before = hand.landmarks if hand else before
+        times.append(time)
+        positions.append(np.asarray(before)[list(landmarks)])
+        confidence.append(np.full(len(landmarks), hand.score if hand else 0.0))
+        size = (image.shape[1], image.shape[0])
+    return Tracks(np.array(times), np.array(positions), np.array(confidence), size)
+
+
+def _nearest(found: list[Hand], before: Array | None) -> Hand | None:
+    """The hand nearest to where one was, if that is less than a hand's width away; the surest at first."""
+    if before is None or not found:
+        return found[0] if found else None
+    hand = min(found, key=lambda hand: float(np.linalg.norm(hand.landmarks - before, axis=1).mean()))
+    width = float(np.ptp(before, axis=0).max())
+    return hand if np.linalg.norm(hand.landmarks - before, axis=1).mean() < width else None
 
 
 def follow_object(film: Film, mask: Mask, keypoints: Array | None = None) -> Tracks:
