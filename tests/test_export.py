@@ -12,6 +12,7 @@ from problems import TABLE
 from kpirl_ocp import Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory, Unrolled
 from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
+from kpirl_ocp.ocp.export.records import STATUS
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 from kpirl_ocp.ocp.solvers.sqp import SQP
 
@@ -171,11 +172,10 @@ def test_a_prefix_that_is_no_lower_case_c_name_is_refused(prefix, tmp_path):
 
 
 def test_status_codes_are_those_of_python():
-    header = (folder("integrator", Riccati())[0] / "kpirl_mpc.h").read_text()
+    header = (folder("integrator", Riccati())[0] / "kpirl_mpc_status.h").read_text()
     codes = {name: int(code) for name, code in re.findall(r"KPIRL_MPC_(\w+) = (-?\d+)", header)}
-    assert {name: code for name, code in codes.items() if 0 <= code < len(Status)} == {
-        status.name: i for i, status in enumerate(Status)
-    }
+    assert {codes[status.name]: status for status in Status} == {c: s for c, s in STATUS.items() if c != 8}
+    assert codes["TIME_LIMIT"] == 8
     assert all(code < 0 for name, code in codes.items() if name.startswith("ERROR"))
 
 

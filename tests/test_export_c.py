@@ -147,7 +147,7 @@ def test_the_manifest_has_the_hashes_of_all_files():
 def test_generated_code_has_no_globals_that_change():
     """CasADi keeps the memory of sqpmethod in a pool behind a static counter."""
     solver = program(TABLE["integrator"]().problem, SQP())
-    source = generated.definitions([solver])
+    source = generated.definitions([solver], {})
     assert "struct casadi_sqpmethod_data memory;" in source
     variables = re.findall(r"^static (?!const)[^(]*;$", source, flags=re.MULTILINE)
     assert variables == []

@@ -1,6 +1,5 @@
-// The C++ class plans, continues, and turns errors of the caller into exceptions.
-#include <cmath>
-#include <iostream>
+// The C++ class plans and continues without exceptions or the heap; errors of the caller are statuses.
+#include <cstdio>
 
 #include "kpirl_mpc.hpp"
 extern "C" {
@@ -8,18 +7,16 @@ extern "C" {
 }
 
 int main() {
-  kpirl_mpc_cpp::Controller controller;
-  kpirl_mpc_input input = {kpirl_mpc_record_state[0], kpirl_mpc_record_context[0], nullptr};
-  kpirl_mpc_solution plan = controller.solve(input);
-  controller.shift(plan);
-  plan = controller.solve(input, &plan);
-  if (!kpirl_mpc_ok(plan.status)) return 1;
+  static kpirl_mpc_cpp::Controller controller;
+  static kpirl_mpc_solution plan;
+  kpirl_mpc_input input = kpirl_mpc_input();
+  input.state = kpirl_mpc_record_state[0];
+  input.context = kpirl_mpc_record_context[0];
+  if (!kpirl_mpc_ok(controller.solve(input, plan))) return 1;
+  if (controller.shift(input, plan) != KPIRL_MPC_CONVERGED) return 1;
+  if (!kpirl_mpc_ok(controller.solve(input, plan, &plan))) return 1;
   input.state = nullptr;
-  try {
-    controller.solve(input);
-  } catch (const std::invalid_argument &error) {
-    std::cout << error.what() << "\n";
-    return 0;
-  }
-  return 1;
+  const kpirl_mpc_status status = controller.solve(input, plan);
+  std::puts(kpirl_mpc_message(status));
+  return status != KPIRL_MPC_ERROR_NULL;
 }

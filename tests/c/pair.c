@@ -10,8 +10,8 @@ int main(void) {
   left_solution plan_a;
   right_solution plan_b;
   static const double zeros[64] = {0};
-  left_input input_a = {zeros, zeros, NULL};
-  right_input input_b = {zeros, zeros, NULL};
+  left_input input_a = {.state = zeros, .context = zeros};
+  right_input input_b = {.state = zeros, .context = zeros};
   if (!a || !b || left_solve(a, &input_a, NULL, &plan_a) < 0 || right_solve(b, &input_b, NULL, &plan_b) < 0) return 1;
   printf("%d %d\n", LEFT_N_STATES, RIGHT_N_STATES);
   left_destroy(a);

@@ -19,7 +19,7 @@ static void *work(void *number) {
   kpirl_mpc_init(&mpc, &memory[which], sizeof memory[which]);
   for (round = 0; round < ROUNDS; ++round) {
     kpirl_mpc_real state[KPIRL_MPC_N_STATES];
-    kpirl_mpc_input input = {state, kpirl_mpc_record_context[0], NULL};
+    kpirl_mpc_input input = {.state = state, .context = kpirl_mpc_record_context[0]};
     for (i = 0; i < KPIRL_MPC_N_STATES; ++i) state[i] = kpirl_mpc_record_state[0][i] + (kpirl_mpc_real)(0.001 * round);
     if (round) guess = kpirl_mpc_resume(&plans[which][round - 1]);
     kpirl_mpc_solve(mpc, &input, round ? &guess : NULL, &plans[which][round]);

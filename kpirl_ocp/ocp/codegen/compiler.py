@@ -16,13 +16,13 @@ import shutil
 import subprocess
 import tempfile
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
 import casadi as ca
 
-from kpirl_ocp.errors import CompilerError
+from kpirl_ocp.errors import CompilerError, FileError
 from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels
 
 # No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order. The -fno flags only promise
@@ -81,13 +81,14 @@ def _library(compiler: str, name: str, source: str) -> Path:
     return cached(name, key, lambda library: _build(compiler, source, library))
 
 
-def compile_folder(folder: Path, flags: Sequence[str] = EXPORT_FLAGS_NATIVE, compiler: str | None = None) -> Path:
+def compile_folder(folder: Path, flags: Sequence[str], compiler: str | None, names: Iterable[str]) -> Path:
     """Compile the C of a folder to a shared library, unless the cache has it.
 
     Args:
-        folder: holds the sources `*.c` and headers `*.h`.
+        folder: holds the sources and headers.
         flags: of the compiler, beside those of a shared library.
-        compiler: its command; by default the system's.
+        compiler: its command; None for the system's.
+        names: of the folder's files, of which sources and headers at its top are compiled.
 
     Raises:
         CompilerError: without a compiler, or with its own words when it fails.
@@ -95,8 +96,12 @@ def compile_folder(folder: Path, flags: Sequence[str] = EXPORT_FLAGS_NATIVE, com
     compiler = compiler or find_compiler()
     if compiler is None:
         raise CompilerError("no C compiler (cc, gcc, clang) was found: install one, or solve in Python.")
-    sources = sorted(folder.glob("*.c"))
-    texts = [path.read_text() for path in sorted([*sources, *folder.glob("*.h")])]
+    paths = [folder / name for name in sorted(names) if Path(name).name == name]
+    sources = [path for path in paths if path.suffix == ".c"]
+    try:
+        texts = [path.read_text() for path in paths if path.suffix in (".c", ".h")]
+    except OSError as error:
+        raise FileError(f"{error.filename} belongs to {folder} and cannot be read: export it again.") from error
     options = [*flags, "-fPIC", "-shared"]
     key = "\0".join([*texts, compiler, identity(compiler), *options])
     try:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
 from kpirl_ocp.ocp.problem.ocp import OCP
 
@@ -14,8 +15,11 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 class Target:
     """A solver as C.
 
-    kind: its name in the manifest. functions: to be generated. sources: hand-written files, without prefix.
+    kind: its name in the manifest. functions: to be generated, with named inputs and outputs. interfaces: of those that
+    share structures, see `portable_c`. transition: name of the one that gives the successor of a stage.
+    sources: hand-written files, without prefix; with_core: those of the interior-point method, too.
     workspace: the header among them with the type of the solver's memory. macros: numbers that they are compiled with.
+    data: what belongs into the file of constants.
     steps, max_iterations, tolerance, barrier: the settings of a new controller; see `kpirl_mpc_settings`.
     single_tolerance: the tightest tolerance that makes sense in single precision.
     counts: whether it knows its iterations, and why it stopped.
@@ -23,6 +27,8 @@ class Target:
 
     kind: str
     functions: Sequence[ca.Function]
+    interfaces: Mapping[str, str]
+    transition: str
     sources: Sequence[str]
     workspace: str
     macros: Mapping[str, int | str]
@@ -31,10 +37,22 @@ class Target:
     tolerance: float
     barrier: float
     single_tolerance: float
+    with_core: bool = False
+    data: str = ""
     counts: bool = True
 
 
 def dynamics(problem: OCP) -> ca.Function:
-    """(s, u, psi) -> f."""
-    inputs = [ca.MX.sym(name, problem.transition.size1_in(i)) for i, name in enumerate(("s", "u", "psi"))]
-    return ca.Function("dynamics", inputs, [ca.densify(problem.transition(*inputs))])
+    """(x, psi, context, schedule) -> successor, with the interface of a stage; of dynamics f(s, u, psi)."""
+    lengths = {"x": problem.n_states + problem.n_actions, "psi": problem.n_parameters, "context": problem.n_context}
+    lengths["schedule"] = np.asarray(problem.schedule).shape[1]
+    inputs = {name: ca.MX.sym(name, length) for name, length in lengths.items()}
+    x, psi, context, d = inputs.values()
+    successor = problem.dynamics(x[: problem.n_states], x[problem.n_states :], psi, context, d)
+    return named("dynamics", inputs, {"successor": successor})
+
+
+def named(name: str, inputs: Mapping[str, ca.MX | ca.SX], outputs: Mapping[str, ca.MX | ca.SX]) -> ca.Function:
+    """A function whose inputs and outputs bear names; dense."""
+    dense = [ca.densify(output) for output in outputs.values()]
+    return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs))

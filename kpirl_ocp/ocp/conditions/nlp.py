@@ -74,17 +74,6 @@ def unpack(problem: OCP, s0: Array, w: Array) -> Trajectory:
     return layout.unpack(problem, np.concatenate([s0, w]))
 
 
-def unpack_multipliers(problem: OCP, lam_w: Array, lam_g: Array) -> Multipliers:
-    """Multipliers of bounds (n_w,) and of defects followed by path constraints, as named arrays."""
-    steps, split = problem.horizon, problem.horizon * problem.n_states
-    return Multipliers.of_given_start(
-        dynamics=lam_g[:split].reshape(steps, problem.n_states),
-        state=lam_w[:split].reshape(steps, problem.n_states),
-        action=lam_w[split:].reshape(steps, problem.n_actions),
-        path=lam_g[split:].reshape(steps, problem.n_path),
-    )
-
-
 def bound_multipliers(multipliers: Multipliers) -> Array:
     """nu (n_w,): multipliers of the bounds in the order of w."""
     return layout.bound_multipliers(multipliers)[multipliers.state.shape[1] :]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from kpirl_ocp.ocp.codegen.target import Target, dynamics
+from kpirl_ocp.ocp.codegen.target import Target, dynamics, named
 from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedDynamics, depends_on_psi
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost, reduced_symbols
@@ -24,6 +24,8 @@ def target(problem: OCP, solver: GradientDescent) -> Target:
     return Target(
         kind="gradient_descent",
         functions=[dynamics(problem), descent_point(problem), descent_back(problem), descent_slope(problem)],
+        interfaces={"dynamics": "stage"},
+        transition="dynamics",
         sources=("descent.h", "descent.c"),
         workspace="descent.h",
         macros={"STEP_SIZE": repr(solver.step_size)},
@@ -38,12 +40,12 @@ def target(problem: OCP, solver: GradientDescent) -> Target:
 def descent_point(problem: OCP) -> ca.Function:
     """(U, s0, psi, c) -> J, dJ/dU, states, costates."""
     inputs, _, _, at = _linearise(problem)
-    outputs = [at.value, at.gradient, at.rollout.states, at.adjoint.costates]
-    return ca.Function("descent_point", inputs, [ca.densify(x) for x in outputs])
+    outputs = {"cost": at.value, "gradient": at.gradient, "states": at.rollout.states, "costates": at.adjoint.costates}
+    return named("descent_point", _names(inputs), outputs)
 
 
 def descent_back(problem: OCP) -> ca.Function:
-    """(U, s0, psi, c, w (n_u, T)) -> dJ/dU, and with g = dJ/dU: (dg/dU)' w, and w . g by psi, c and s0."""
+    """(U, s0, psi, c, w (n_u, T)) -> (dg/dU)' w for g = dJ/dU, and w . g by psi, c and s0."""
     inputs, reduced, theta, at = _linearise(problem)
     u, _, psi, context = inputs
     w = ca.MX.sym("w", *u.shape)
@@ -55,8 +57,9 @@ def descent_back(problem: OCP) -> ca.Function:
     pull = ca.Function("pull", [psi, context, *x], [ca.gradient(paired, p) for p in (psi, context)])
     by_psi, by_context = pull(psi, context, *by_theta)
     by_start = _by_start(problem, at, back, by_states, w, psi)
-    outputs = [at.gradient, by_actions + back.by_actions, by_psi + back.by_parameters, by_context, by_start]
-    return ca.Function("descent_back", [*inputs, w], [ca.densify(x) for x in outputs])
+    outputs = {"product": by_actions + back.by_actions, "by_psi": by_psi + back.by_parameters}
+    outputs |= {"by_context": by_context, "by_state": by_start}
+    return named("descent_back", _names(inputs) | {"direction": w}, outputs)
 
 
 def descent_slope(problem: OCP) -> ca.Function:
@@ -67,8 +70,12 @@ def descent_slope(problem: OCP) -> ca.Function:
     adjoint = reduced.passes.adjoint(at.rollout, inputs[2], by_states)
     start = _dynamics_at_start(problem, at, inputs[2], adjoint.costates)
     by_start = by_states[:, 0] + start.Ft_lambda[: problem.n_states]
-    outputs = [by_actions + adjoint.by_actions, adjoint.by_parameters, by_start]
-    return ca.Function("descent_slope", [*inputs, by_states, by_actions], [ca.densify(x) for x in outputs])
+    outputs = {"slope": by_actions + adjoint.by_actions, "by_psi": adjoint.by_parameters, "by_state": by_start}
+    return named("descent_slope", _names(inputs) | {"by_states": by_states, "by_actions": by_actions}, outputs)
+
+
+def _names(inputs: list[ca.MX]) -> dict[str, ca.MX]:
+    return dict(zip(("actions", "state", "psi", "context"), inputs, strict=True))
 
 
 def _linearise(problem: OCP) -> tuple[list[ca.MX], ReducedCost, Coefficients, Linearisation]:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,21 +11,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.errors import FileError, ProblemError
-from kpirl_ocp.ocp.codegen.c_structures import Structures, address
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.codegen.c_structures import SETTINGS, Structures, address
 from kpirl_ocp.ocp.codegen.compiler import EXPORT_FLAGS_NATIVE, compile_folder
-from kpirl_ocp.ocp.export.folder import FORMAT, dimensions, fingerprint
+from kpirl_ocp.ocp.export.manifest import check, read, takes_schedules
+from kpirl_ocp.ocp.export.records import STATUS
+from kpirl_ocp.ocp.interior_point.core import check_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.scope import constant_bounds, refuse_features
-from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.ocp.problem.solver import Guess, check_guess
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
+
+_INPUT = -2  # KPIRL_MPC_ERROR_INPUT
+# Where the parts of `Multipliers` stand in the C structures.
+_MULTIPLIERS = {
+    "dynamics": "dynamics",
+    "state": "state_bounds",
+    "action": "action_bounds",
+    "path": "path",
+    "path_equality": "path_equality",
+    "terminal": "terminal",
+    "terminal_equality": "terminal_equality",
+}
 
 
 class ExportedSolver:
     """A solver (`Solver`) whose work is done by an exported folder, for the problem that was exported.
 
-    Bounds are those of the problem that `solve` is called with. Not for use in several threads at once.
+    Bounds, and the schedule of an interior-point method, are those of the problem that `solve` is called with. Not for
+    use in several threads at once.
     """
 
     def __init__(
@@ -39,10 +52,10 @@ class ExportedSolver:
             CompilerError: it cannot be built.
         """
         self.folder = Path(folder)
-        self.manifest = _manifest(self.folder)
+        self.manifest = read(self.folder)
         self.structures = Structures.of(self.manifest["problem"], any("_FLOAT" in flag for flag in flags))
         self._prefix = self.manifest["prefix"]
-        self._library = ctypes.CDLL(str(compile_folder(self.folder, flags, compiler)))
+        self._library = ctypes.CDLL(str(compile_folder(self.folder, flags, compiler, self.manifest["sha256"])))
         self._function("size").restype = ctypes.c_size_t
         for name in ("message", "version"):
             self._function(name).restype = ctypes.c_char_p
@@ -57,19 +70,15 @@ class ExportedSolver:
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
         self._use(problem)
-        start, kept = self._input(problem, s0, psi, context)
-        found, result = self.structures.solution(), None
-        if guess is not None:
-            result, more = self._guess(problem, guess)
-            kept += more
-        self._call(
-            "solve",
-            self._controller,
-            ctypes.byref(start),
-            None if result is None else ctypes.byref(result),
-            ctypes.byref(found),
-        )
-        return self._solution(found, *problem.inputs(s0, psi, context)[1:])
+        numbers = problem.inputs(s0, psi, context)
+        given, kept = self._input(problem, *numbers)
+        first, more = self._guess(problem, guess)
+        found = self.structures.solution()
+        status = self._status("solve", self._controller, ctypes.byref(given), first, ctypes.byref(found))
+        del kept, more
+        if status == _INPUT:
+            return self._not_finite(numbers)
+        return self._solution(self._checked(status), found, *numbers[1:])
 
     def gradient(
         self,
@@ -87,48 +96,58 @@ class ExportedSolver:
         by_states: (T+1, n_s). by_actions: (T, n_u). guess: what `solve` was called with; gradient descent needs it.
         """
         self._use(problem)
-        start, kept = self._input(problem, s0, psi, context)
-        plan = self._plain(solution)
+        given, kept = self._input(problem, *problem.inputs(s0, psi, context))
+        plan = self._plain(problem, solution)
         slopes = [
             self.structures.array(slope) for slope in (problem.as_states(by_states), problem.as_actions(by_actions))
         ]
-        first = None
-        if guess is not None:
-            first, more = self._guess(problem, guess)
-            kept += more
+        first, more = self._guess(problem, guess)
         found = self.structures.gradients()
+        addresses = (ctypes.c_void_p(address(slope)) for slope in slopes)
         status = self._call(
             "gradient",
             self._controller,
-            ctypes.byref(start),
-            None if first is None else ctypes.byref(first),
+            ctypes.byref(given),
+            first,
             ctypes.byref(plan),
-            *(ctypes.c_void_p(address(slope)) for slope in slopes),
+            *addresses,
             ctypes.byref(found),
         )
-        by_psi, by_start, by_context = (
-            np.array(getattr(found, name), float)[:length]
-            for name, length in zip(
-                ("psi", "state", "context"), (problem.n_parameters, problem.n_states, problem.n_context), strict=True
-            )
-        )
-        return ByParameters(by_psi, by_start, by_context), status == 0
+        del kept, more
+        lengths = {"psi": problem.n_parameters, "state": problem.n_states, "context": problem.n_context}
+        parts = [np.array(getattr(found, name), float)[:length] for name, length in lengths.items()]
+        return ByParameters(*parts), status == 0
 
-    def shift(self, problem: OCP, solution: Solution, psi: ArrayLike = ()) -> Solution:
-        """The guess for the next period: all one step earlier, the last action again, the last multipliers kept."""
-        plan, parameters = self._plain(solution), self.structures.array(psi).ravel()
-        self._call("shift", self._controller, ctypes.c_void_p(address(parameters)), ctypes.byref(plan))
+    def shift(
+        self, problem: OCP, solution: Solution, psi: ArrayLike | None = None, context: ArrayLike | None = None
+    ) -> Solution:
+        """The guess for the next period: all one step earlier, the last action again, the last multipliers kept.
+
+        psi, context: those of the solution, unless others are given.
+        """
+        self._use(problem)
+        psi, context = (solution.psi if psi is None else psi), (solution.context if context is None else context)
+        plan = self._plain(problem, solution)
+        given, kept = self._input(problem, *problem.inputs(solution.states[0], psi, context))
+        self._call("shift", self._controller, ctypes.byref(given), ctypes.byref(plan))
+        del kept
         arrays = self._arrays(plan)
-        return replace(
-            solution, trajectory=Trajectory(*arrays[:2]), multipliers=Multipliers.of_given_start(*arrays[2:])
-        )
+        return replace(solution, trajectory=_trajectory(arrays), multipliers=_multipliers(arrays))
 
     def set(self, **settings: Any) -> None:
-        """Change settings of `kpirl_mpc_settings`, such as tolerance, barrier or steps."""
-        current = self.structures.settings()
-        self._call("get_settings", self._controller, ctypes.byref(current))
+        """Change settings of `kpirl_mpc_settings`, such as tolerance, barrier or steps.
+
+        Raises ProblemError for a name that is none of them, and for a value that the solver does not take.
+        """
+        unknown = sorted(set(settings) - set(SETTINGS))
+        if unknown:
+            raise ProblemError(f"{', '.join(unknown)}: no such setting; there are {', '.join(SETTINGS)}.")
+        current = self._settings()
         for name, value in settings.items():
-            setattr(current, name, value)
+            try:
+                setattr(current, name, value)
+            except (TypeError, ctypes.ArgumentError) as error:
+                raise ProblemError(f"{name} = {value!r} is no value of that setting ({error}).") from error
         self._call("set_settings", self._controller, ctypes.byref(current))
 
     @property
@@ -141,63 +160,73 @@ class ExportedSolver:
         """Bytes of memory of a controller."""
         return int(self._function("size")())
 
+    def _settings(self) -> Any:
+        current = self.structures.settings()
+        self._call("get_settings", self._controller, ctypes.byref(current))
+        return current
+
     def _function(self, name: str) -> Any:
         return getattr(self._library, f"{self._prefix}_{name}")
 
+    def _status(self, name: str, *arguments: Any) -> int:
+        return int(self._function(name)(*arguments))
+
     def _call(self, name: str, *arguments: Any) -> int:
         """Its status. Raises ProblemError for an error of the caller."""
-        status = int(self._function(name)(*arguments))
+        return self._checked(self._status(name, *arguments))
+
+    def _checked(self, status: int) -> int:
         if status < 0:
-            raise ProblemError(f"{self.folder}: {self._function('message')(status).decode()}")
+            raise ProblemError(f"{self.folder}: {self._message(status)}")
         return status
+
+    def _message(self, status: int) -> str:
+        return str(self._function("message")(status).decode())
 
     def _use(self, problem: OCP) -> None:
         """Check that the problem is the exported one, and take over its bounds."""
         if problem not in self._known:
-            refuse_features(problem, "the exported C")
-            _check(self.folder, self.manifest, problem)
+            check(self.folder, self.manifest, problem)
             self._known[problem] = True
-        bounds = [self.structures.array(bound) for bound in constant_bounds(problem)]
-        self._call("set_bounds", self._controller, *(ctypes.c_void_p(address(bound)) for bound in bounds))
+        bounds = [self.structures.array(bound) for bound in (*problem.limits, *problem.action_bounds)]
+        self._call("set_stage_bounds", self._controller, *(ctypes.c_void_p(address(bound)) for bound in bounds))
 
-    def _input(self, problem: OCP, s0: ArrayLike, psi: ArrayLike, context: ArrayLike) -> tuple[Any, list[Array]]:
+    def _input(self, problem: OCP, s0: Array, psi: Array, context: Array) -> tuple[Any, list[Array]]:
         """The structure, and the arrays that it points to."""
-        start, parameters, goal = problem.inputs(s0, psi, context)
-        arrays = [self.structures.array(value) for value in (start, goal, parameters)]
+        arrays = [self.structures.array(value) for value in (s0, context, psi)]
+        if takes_schedules(self.manifest):
+            arrays.append(self.structures.array(problem.schedule))
         return self.structures.input(*map(address, arrays)), arrays
 
-    def _guess(self, problem: OCP, guess: Solution | Trajectory) -> tuple[Any, list[Array]]:
-        parts = [problem.as_states(guess.states), problem.as_actions(guess.actions)]
+    def _guess(self, problem: OCP, guess: Guess) -> tuple[Any, list[Array]]:
+        """A reference to the structure, None without a guess; and the arrays that it points to."""
+        check_guess(guess)
+        if guess is None:
+            return None, []
+        parts = {"states": problem.as_states(guess.states), "actions": problem.as_actions(guess.actions)}
         if isinstance(guess, Solution):
-            multipliers = guess.multipliers
-            parts += [multipliers.dynamics, multipliers.state[1:], multipliers.action, multipliers.path]
-        arrays = [self.structures.array(part) for part in parts]
-        return self.structures.guess(*map(address, arrays)), arrays
+            parts |= _parts(problem, guess.multipliers)
+        arrays = {name: self.structures.array(part) for name, part in parts.items()}
+        made = self.structures.guess(**{name: address(array) for name, array in arrays.items()})
+        return ctypes.byref(made), [*arrays.values()]
 
-    def _plain(self, solution: Solution) -> Any:
-        multipliers = solution.multipliers
-        parts = (
-            solution.states,
-            solution.actions,
-            multipliers.dynamics,
-            multipliers.state[1:],
-            multipliers.action,
-            multipliers.path,
-        )
+    def _plain(self, problem: OCP, solution: Solution) -> Any:
+        parts = {"states": problem.as_states(solution.states), "actions": problem.as_actions(solution.actions)}
         plan = self.structures.solution()
-        for name, part in zip(self.structures.shapes, parts, strict=True):
+        for name, part in (parts | _parts(problem, solution.multipliers)).items():
             if part.size:
-                np.ctypeslib.as_array(getattr(plan, name))[:] = part.ravel()
+                np.ctypeslib.as_array(getattr(plan, name))[:] = np.ravel(part)
+        plan.residual = solution.residuals.worst
         return plan
 
-    def _arrays(self, plan: Any) -> list[Array]:
-        """Trajectory and multipliers, in the order of the structure."""
-        return [
-            np.array(getattr(plan, name), float)[: shape[0] * shape[1]].reshape(shape)
+    def _arrays(self, plan: Any) -> dict[str, Array]:
+        """Trajectory and multipliers."""
+        return {
+            name: np.array(getattr(plan, name), float)[: int(np.prod(shape))].reshape(shape)
             for name, shape in self.structures.shapes.items()
-        ]
+        }
 
-    def _solution(self, found: Any, psi: Array, context: Array) -> Solution:
+    def _solution(self, status: int, found: Any, psi: Array, context: Array) -> Solution:
         arrays = self._arrays(found)
         residuals = KKTResiduals(
             stationarity=found.stationarity,
@@ -206,46 +235,46 @@ class ExportedSolver:
             sign=0.0,
             scale=found.scale,
         )
-        current = self.structures.settings()
-        self._call("get_settings", self._controller, ctypes.byref(current))
         return Solution(
-            trajectory=Trajectory(*arrays[:2]),
-            multipliers=Multipliers.of_given_start(*arrays[2:]),
+            trajectory=_trajectory(arrays),
+            multipliers=_multipliers(arrays),
             objective=found.objective,
             residuals=residuals,
-            status=status_of(found.status),
+            status=STATUS[status],
             iterations=found.iterations,
             psi=psi,
             context=context,
-            barrier=current.barrier,
-            message=f"{self._prefix}: {self._function('message')(found.status).decode()}",
+            barrier=self._settings().barrier,
+            message=f"{self._prefix}: {self._message(status)}",
+        )
+
+    def _not_finite(self, numbers: tuple[Array, Array, Array]) -> Solution:
+        """The answer to an input with NaN or infinity in it: nothing was solved."""
+        arrays = {name: np.full(shape, np.nan) for name, shape in self.structures.shapes.items()}
+        arrays["states"][0] = numbers[0]
+        return Solution(
+            trajectory=_trajectory(arrays),
+            multipliers=_multipliers(arrays),
+            objective=np.nan,
+            residuals=KKTResiduals(np.nan, np.nan, np.nan, np.nan, 1.0),
+            status=Status.NOT_FINITE,
+            iterations=0,
+            psi=numbers[1],
+            context=numbers[2],
+            barrier=self._settings().barrier,
+            message=f"{self._prefix}: {self._message(_INPUT)}",
         )
 
 
-def status_of(code: int) -> Status:
-    """The C enum begins with Python's members, in their order; beyond them a solve has the time limit."""
-    known = list(Status)
-    return known[code] if code < len(known) else Status.ITERATION_LIMIT
+def _parts(problem: OCP, multipliers: Multipliers) -> dict[str, Array]:
+    """Multipliers by their names in C. Raises ProblemError for shapes that do not fit."""
+    check_multipliers(problem, multipliers)
+    return {name: getattr(multipliers, own) for own, name in _MULTIPLIERS.items()}
 
 
-def _manifest(folder: Path) -> dict[str, Any]:
-    path = folder / "manifest.json"
-    try:
-        manifest = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise FileError(f"{path} does not exist: export a controller with export_c or scripts/export_mpc.py.") from None
-    if manifest.get("format") != FORMAT:
-        raise FileError(f"{path} has format {manifest.get('format')!r}, this version reads {FORMAT}: export it again.")
-    return dict(manifest)
+def _trajectory(arrays: Mapping[str, Array]) -> Trajectory:
+    return Trajectory(arrays["states"], arrays["actions"])
 
 
-def _check(folder: Path, manifest: dict[str, Any], problem: OCP) -> None:
-    exported = manifest["problem"]
-    found = {name.lower(): value for name, value in dimensions(problem).items()}
-    for name, value in found.items():
-        if exported[name] != value:
-            raise ProblemError(f"{folder} was exported with {name} = {exported[name]}; this problem has {value}.")
-    if exported["fingerprint"] != fingerprint(problem):
-        raise ProblemError(
-            f"{folder} was exported from another problem (its functions or schedule differ): export this one."
-        )
+def _multipliers(arrays: Mapping[str, Array]) -> Multipliers:
+    return Multipliers(**{own: arrays[name] for own, name in _MULTIPLIERS.items()})

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.ocp.codegen.templates import LICENCE, PREFIX
+from kpirl_ocp.ocp.export.constants import numbers
+from kpirl_ocp.ocp.interior_point import core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.types import Array, Solution, Status
+
+STATUS = core.STATUS | {7: Status.FAILED, 8: Status.ITERATION_LIMIT}
+"""Values of the C enum kpirl_mpc_status that a solve ends with; 8 is that of the time limit."""
+_CODES = {status: code for code, status in reversed(STATUS.items())}
 
 
 @dataclass(frozen=True)
@@ -29,7 +35,7 @@ def record(problem: OCP, solver: Solver, psi: Array, s0: ArrayLike, context: Arr
     """Solve both."""
     start, psi, goal = problem.inputs(s0, psi, context)
     cold = solver.solve(problem, start, psi, goal)
-    after = np.array(problem.transition(start, cold.actions[0], psi)).ravel()
+    after = np.array(problem.dynamics(start, cold.actions[0], psi, goal, np.asarray(problem.schedule)[0])).ravel()
     if not cold.status.ok:  # there is nothing to continue from
         return Record(start, goal, start, cold, cold)
     return Record(start, goal, after, cold, solver.solve(problem, after, psi, goal, guess=cold))
@@ -61,18 +67,6 @@ def header(records: Sequence[Record], counts: bool) -> str:
 
 
 def code(status: Status, counts: bool) -> int:
-    """The value of the C enum, which has Python's order; without counts, all ways of giving up are one."""
-    gave_up = status in (Status.ITERATION_LIMIT, Status.STALLED)
-    return list(Status).index(Status.FAILED if gave_up and not counts else status)
-
-
-def numbers(values: Iterable[float]) -> str:
-    """A C initialiser; one zero for an empty array, because C has none."""
-    return "{" + (", ".join(number(value) for value in values) or "0") + "}"
-
-
-def number(value: float) -> str:
-    """A C expression of a number that is not NaN."""
-    if np.isinf(value):
-        return "INFINITY" if value > 0 else "-INFINITY"
-    return repr(float(value))
+    """The value of the C enum; without counts, all ways of giving up are one."""
+    gave_up = status in (Status.ITERATION_LIMIT, Status.STALLED, Status.INFEASIBLE)
+    return _CODES[Status.FAILED if gave_up and not counts else status]

@@ -12,6 +12,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.interior_point import library as c
@@ -24,7 +25,7 @@ from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, check_guess
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 _PROBLEMS = 64  # whose memory and functions are kept
-_STATUS = {
+STATUS = {
     0: Status.CONVERGED,
     1: Status.STEPS_TAKEN,
     2: Status.ITERATION_LIMIT,
@@ -48,7 +49,7 @@ class Core:
         self._patterns = self._find_patterns()
         self._code: Mapping[str, int] | None = None
         self._model = self._make_model()
-        dimensions, bounds = self._dimensions(), self._bounds()
+        dimensions, bounds = dimensions_of(self.problem), self._bounds()
         given = [ctypes.byref(x) for x in (dimensions, bounds, self._model)]
         self._memory = np.zeros(self._library.kpirl_mpc_core_size(*given), np.uint8)
         self._core = self._library.kpirl_mpc_core_init(*given, ctypes.c_void_p(self._memory.ctypes.data))
@@ -69,7 +70,7 @@ class Core:
         start = c.Start(*(array.ctypes.data for array in arrays))
         given = (ctypes.addressof(x) for x in (numbers, options, start, self._residuals))
         status = self._library.kpirl_mpc_core_solve(self._core, *given)
-        solution = self._solution(_STATUS[status], options.barrier, psi, context)
+        solution = self._solution(STATUS[status], options.barrier, psi, context)
         self._evaluations += 2 * (solution.iterations + 1) * self.problem.horizon
         return solution
 
@@ -88,28 +89,10 @@ class Core:
         ends = T * n_x, T * n_x * n_x
         return [defects, path, r[: ends[0]], r[ends[0] :], F, G[: T * n_x * problem.n_path], H[: ends[1]], H[ends[1] :]]
 
-    def _dimensions(self) -> Any:
-        problem = self.problem
-        return c.Dimensions(
-            horizon=problem.horizon,
-            n_states=problem.n_states,
-            n_actions=problem.n_actions,
-            n_path=problem.n_path,
-            n_equality=problem.n_path_equality,
-            n_terminal=problem.n_terminal,
-            n_terminal_equality=problem.n_terminal_equality,
-            n_parameters=problem.n_parameters,
-            n_context=problem.n_context,
-            n_schedule=np.asarray(problem.schedule).shape[1],
-        )
-
     def _bounds(self) -> Any:
-        problem = self.problem
-        pairs = zip(problem.limits, problem.action_bounds, strict=True)
-        arrays: list[Array] = [by_stage(states, np.asarray(actions)) for states, actions in pairs]
-        free = np.flatnonzero(problem.free_start).astype(np.intc)
-        self._kept += [*arrays, free]
-        return c.Bounds(*(array.ctypes.data for array in arrays), free.ctypes.data, len(free))
+        lower, upper, free = point_bounds(self.problem)
+        self._kept += [lower, upper, free]
+        return c.Bounds(*(array.ctypes.data for array in (lower, upper)), free.ctypes.data, len(free))
 
     def _make_model(self) -> Any:
         """The functions, as machine code where there is some."""
@@ -137,11 +120,11 @@ class Core:
             return {}
         functions = stage_functions(self.problem)
         second, last = functions.stage[2], functions.last[2]
-        stage = {name: self._pattern(second, 6 + i) for i, name in enumerate(("F", "G", "E", "H"))}
-        return stage | {name: self._pattern(last, 5 + i) for i, name in enumerate(("G_last", "E_last", "H_last"))}
+        stage = {name: self._pattern(second, name) for name in ("F", "G", "E", "H")}
+        return stage | {f"{name}_last": self._pattern(last, name) for name in ("G", "E", "H")}
 
-    def _pattern(self, function: ca.Function, i: int) -> Any:
-        sparsity = function.sparsity_out(i)
+    def _pattern(self, function: ca.Function, name: str) -> Any:
+        sparsity = function.sparsity_out(name)
         rows, columns = (np.array(x, np.intc) for x in sparsity.get_triplet())
         entries = np.ascontiguousarray(rows + columns * sparsity.size1(), np.intc)
         self._kept.append(entries)
@@ -202,6 +185,29 @@ class Core:
             terminal=path[T * n_h :],
             terminal_equality=equality[T * n_e :],
         )
+
+
+def dimensions_of(problem: OCP) -> Any:
+    """As the core is given them."""
+    return c.Dimensions(
+        horizon=problem.horizon,
+        n_states=problem.n_states,
+        n_actions=problem.n_actions,
+        n_path=problem.n_path,
+        n_equality=problem.n_path_equality,
+        n_terminal=problem.n_terminal,
+        n_terminal_equality=problem.n_terminal_equality,
+        n_parameters=problem.n_parameters,
+        n_context=problem.n_context,
+        n_schedule=np.asarray(problem.schedule).shape[1],
+    )
+
+
+def point_bounds(problem: OCP) -> tuple[Array, Array, NDArray[np.intc]]:
+    """Lower and upper bounds in the order of `by_stage`, and which entries of s_0 are free."""
+    pairs = zip(problem.limits, problem.action_bounds, strict=True)
+    lower, upper = (by_stage(states, np.asarray(actions)) for states, actions in pairs)
+    return lower, upper, np.flatnonzero(problem.free_start).astype(np.intc)
 
 
 def by_stage(states: Array, actions: Array) -> Array:

@@ -67,6 +67,7 @@ Options = _structure(
     log=POINTER,
     log_to=POINTER,
 )
+Count = _structure("Count", **dict.fromkeys(("head", "reals", "integers", "arrays"), ctypes.c_size_t))
 Start = _structure("Start", x=POINTER, costates=POINTER, bounds=POINTER, path=POINTER, equality=POINTER)
 View = _structure(
     "View",
@@ -170,6 +171,7 @@ def _cpu_flags() -> set[str]:
 
 
 def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
+    core.kpirl_mpc_count_core.argtypes = [POINTER] * 4
     core.kpirl_mpc_core_size.restype = ctypes.c_size_t
     core.kpirl_mpc_core_init.restype = POINTER
     core.kpirl_mpc_core_solve.restype = INT

@@ -57,12 +57,23 @@ def last_functions(problem: OCP) -> Levels:
 
 def constraint_functions(problem: OCP) -> Levels:
     """Those of a stage's constraints alone, as of an end with s and u: (x, psi, c, d, z, nu) -> 0, h, e | .. ."""
-    path, equality = _scalar([problem.path_constraint, problem.path_equality])
-    kind = _kind([path, equality])
+    return _without_dynamics(problem, None)
+
+
+def local_functions(problem: OCP) -> Levels:
+    """Those of a stage without its dynamics, as of an end with s and u: (x, psi, c, d, z, nu) -> l, h, e | .. ."""
+    return _without_dynamics(problem, problem.stage_cost)
+
+
+def _without_dynamics(problem: OCP, cost: ca.Function | None) -> Levels:
+    cost, path, equality = _scalar([cost, problem.path_constraint, problem.path_equality])
+    kind = _kind([cost, path, equality])
     n_s = problem.n_states
     x, numbers = kind.sym("x", n_s + problem.n_actions), _numbers(kind, problem)
-    rows = [kind(0, 1) if g is None else ca.densify(g(x[:n_s], x[n_s:], *numbers)) for g in (path, equality)]
-    return _levels(kind, "rows", x, numbers, [kind.zeros(1), *rows], constraints=2)
+    point = [x[:n_s], x[n_s:], *numbers]
+    rows = [kind(0, 1) if g is None else ca.densify(g(*point)) for g in (path, equality)]
+    value = kind.zeros(1) if cost is None else ca.densify(cost(*point))
+    return _levels(kind, "rows", x, numbers, [value, *rows], constraints=2)
 
 
 def _scalar(functions: list[ca.Function | None]) -> list[ca.Function | None]:

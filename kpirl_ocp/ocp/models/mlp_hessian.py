@@ -5,7 +5,8 @@ With A_l = da_l/dx, the adjoint eta_l of h_l and w_l = sigma_l''(a_l) eta_l,
     d^2 (eta . y)/dx^2 = sum_l A_l' diag(w_l) A_l.
 
 A_1 = W_1 is the same everywhere. Its term is linear in w_1, so that the lower triangles for all points are one product
-with the constant products of pairs of columns of W_1: half the arithmetic, at the rate of a matrix-matrix product.
+with the constant products of pairs of columns of W_1: half the arithmetic, at the rate of a matrix-matrix product. At
+one point alone that table is too long to be worth reading, and the term is computed as it stands.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ Parts = Sequence["ca.MX | None"]
 def prepare(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> list[ca.MX | None]:
     """The arguments of `second` at B points, for adjoint (n_out, B); None for those without numbers.
 
-    They are the lower triangle of the first layer's term, sigma_1' .. sigma_L' and w_2 .. w_L.
+    They are the lower triangle of the first layer's term (all of it at one point), sigma_1' .. sigma_L' and w_2 .. w_L.
     """
     weights = _weights(mlp, slopes, adjoint)
-    low = None if weights[0] is None else ca.DM(_pairs(mlp.weights[0])) @ weights[0]
+    low = None if weights[0] is None else _first_term(mlp.weights[0], weights[0])
     return [low, *(slope.first for slope in slopes), *weights[1:]]
 
 
@@ -41,7 +42,7 @@ def second(mlp: MLP, prepared: Parts) -> tuple[ca.MX, ca.MX]:
     low, firsts, weights = prepared[0], prepared[1 : layers + 1], prepared[layers + 1 :]
     if low is None and all(weight is None for weight in weights):
         return jacobian(mlp, [Slopes(first, None) for first in firsts]), ca.MX(n, n)
-    total = ca.MX.zeros(n, n) if low is None else ca.reshape(low.nz[_mirrored(n)], n, n)
+    total = ca.MX.zeros(n, n) if low is None else _whole(low, n)
     columns = ca.MX(ca.DM(mlp.weights[0].T))  # A_l'
     for weight, first, curvature in zip(mlp.weights[1:], firsts[:-1], weights, strict=True):
         columns = columns @ scale_rows(first, ca.MX(ca.DM(weight.T)))
@@ -57,6 +58,18 @@ def _weights(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> list[ca.MX |
         weights.insert(0, None if slope.second is None else slope.second * adjoint)
         adjoint = ca.DM(weight.T) @ times(slope.first, adjoint)
     return weights
+
+
+def _first_term(weight: Array, factors: ca.MX) -> ca.MX:
+    """W' diag(w) W of W (n_1, n) and w (n_1, B): its lower triangle (n (n + 1) / 2, B), or all of it for B = 1."""
+    if factors.size2() > 1:
+        return ca.DM(_pairs(weight)) @ factors
+    return ca.vec(ca.DM(weight.T) @ scale_rows(factors, ca.MX(ca.DM(weight))))
+
+
+def _whole(entries: ca.MX, n: int) -> ca.MX:
+    """The matrix (n, n) of `_first_term`."""
+    return ca.reshape(entries if entries.numel() == n * n else entries.nz[_mirrored(n)], n, n)
 
 
 def _pairs(weight: Array) -> Array:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.conditions import nlp
 from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.conditions.feasibility import infeasible
 from kpirl_ocp.ocp.conditions.program import limits_from, not_started, starting_point, trajectory_of, transcribe
@@ -52,7 +51,7 @@ class SQP:
         w = starting_point(problem, start, psi, context, guess)
         if not np.isfinite(np.concatenate([w, psi, context])).all():
             return not_started(problem, w, psi, context, "the start, psi or the context holds NaN or infinity")
-        solver, transcribed = _build(problem, self), transcribe(problem)
+        solver, transcribed = program(problem, self), transcribe(problem)
         lower, upper = limits_from(problem, start)
         known = {}
         if isinstance(guess, Solution):
@@ -110,26 +109,13 @@ def _statistics(solver: ca.Function) -> tuple[int, str]:
 
 
 @lru_cache(maxsize=64)
-def _build(problem: OCP, solver: SQP) -> ca.Function:
+def program(problem: OCP, solver: SQP) -> ca.Function:
+    """The solver of `conditions.program.transcribe`, by the names of `casadi.nlpsol`; p is (psi, c)."""
     transcribed = transcribe(problem)
     w, *numbers = transcribed.symbols
     objective = transcribed.values(*transcribed.symbols)[0]
     inputs = {"x": w, "p": ca.vertcat(*numbers), "f": objective, "g": transcribed.rows}
     return ca.nlpsol("sqp", "sqpmethod", inputs, _options(solver))
-
-
-@lru_cache(maxsize=64)
-def program(problem: OCP, solver: SQP) -> ca.Function:
-    """The solver for the exported C.
-
-    (w, (s0, psi, c), bounds of w, bounds of defects and path, lam_w, lam_g) -> w, J, g, lam_w, lam_g, lam_p, with w as
-    in `conditions.nlp`.
-    """
-    transcribed = nlp.transcribe(problem)
-    objective, defects, path = transcribed.values(*(transcribed.symbols[name] for name in ("w", "s0", "psi", "c")))
-    symbols = {"x": transcribed.symbols["w"], "p": transcribed.symbols["p"]}
-    inputs = symbols | {"f": objective, "g": ca.vertcat(defects, path)}
-    return ca.nlpsol("sqp_program", "sqpmethod", inputs, _options(solver))
 
 
 def _options(solver: SQP) -> dict[str, Any]:

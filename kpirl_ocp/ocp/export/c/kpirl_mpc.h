@@ -2,12 +2,14 @@
  *
  * A model-predictive controller for one optimal-control problem, in C99, with nothing but libc and libm.
  *
- *     minimise   sum_{t=0}^{T-1} l(s_t, u_t; psi, c)  +  l_T(s_T; psi, c)
- *     subject to s_{t+1} = f(s_t, u_t; psi),  s_0 given,
- *                u_min <= u_t <= u_max,  s_min <= s_{t+1} <= s_max,  h(s_t, u_t; psi, c) <= 0,     t = 0 .. T-1
+ *     minimise   sum_{t=0}^{T-1} l(s_t, u_t; psi, c, d_t)  +  l_T(s_T; psi, c, d_T)
+ *     subject to s_{t+1} = f(s_t, u_t; psi, c, d_t),    s_0 given, or some of its entries free,
+ *                u_min,t <= u_t <= u_max,t,   h(s_t, u_t; psi, c, d_t) <= 0,   e(s_t, u_t; psi, c, d_t) = 0,   t = 0 .. T-1,
+ *                s_min,t <= s_t <= s_max,t,   h_T(s_T; psi, c, d_T) <= 0,      e_T(s_T; psi, c, d_T) = 0.
  *
- * f, l, l_T, h and the number of steps T are compiled in; s_0, the context c (a goal), the parameters psi and the
- * values of the bounds are given at run time. Arrays are dense, time first, one row after the other: states[t * n_s + i].
+ * The functions and the number of steps T are compiled in; s_0, the context c (a goal), the parameters psi, the schedule d_t
+ * (references, forecasts) and the values of the bounds are given at run time. Rows of h that do not depend on u are among
+ * those of h_T, too. Arrays are dense, time first, one row after the other: states[t * n_s + i].
  *
  *     kpirl_mpc *mpc = NULL;
  *     kpirl_mpc_solution plan;
@@ -24,44 +26,17 @@
 #include <stddef.h>
 
 #include "kpirl_mpc_config.h" /* the dimensions, KPIRL_MPC_N_STATES and so on */
+#include "kpirl_mpc_number.h" /* kpirl_mpc_real: double; float in a build with KPIRL_MPC_FLOAT */
+#include "kpirl_mpc_status.h" /* how a call ended */
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-/* double; float in a build with KPIRL_MPC_FLOAT, which the caller then has to define, too. */
-#ifdef KPIRL_MPC_FLOAT
-typedef float kpirl_mpc_real;
-#else
-typedef double kpirl_mpc_real;
-#endif
-
 #define KPIRL_MPC_AT_LEAST_ONE(n) ((n) > 0 ? (n) : 1) /* C has no empty arrays; an array without entries has one, 0 */
 
-/* How a call ended. Not negative: what became of the solve, as in Python's Status. Negative: an error of the caller. */
-typedef enum kpirl_mpc_status {
-  KPIRL_MPC_CONVERGED = 0,       /* the KKT conditions hold to the solver's tolerance */
-  KPIRL_MPC_STEPS_TAKEN = 1,     /* all steps were taken, short of stationarity: right for real-time iterations */
-  KPIRL_MPC_ITERATION_LIMIT = 2, /* raise max_iterations, or pass a better guess */
-  KPIRL_MPC_INFEASIBLE = 3,      /* no feasible point was found nearby: relax the constraints, or pass another guess */
-  KPIRL_MPC_STALLED = 4,         /* no further progress was possible */
-  KPIRL_MPC_DIVERGED = 5,        /* the iterates diverged, or left the domain of a function */
-  KPIRL_MPC_NOT_FINITE = 6,      /* a function returned NaN or infinity */
-  KPIRL_MPC_FAILED = 7,          /* the solver gave up, and does not say why (SQP) */
-  KPIRL_MPC_TIME_LIMIT = 8,      /* the caller's clock ran out; the plan is as far as the solver got */
-  KPIRL_MPC_NOT_SOLVED = 9,      /* of a gradient: the plan is not a solution, do not believe it */
-  KPIRL_MPC_NOT_A_MINIMUM = 10,  /* of a gradient: the Hessian is not positive there, do not believe it */
-
-  KPIRL_MPC_ERROR_NULL = -1,     /* a pointer that must be given is NULL */
-  KPIRL_MPC_ERROR_INPUT = -2,    /* an input is NaN or infinite */
-  KPIRL_MPC_ERROR_BOUNDS = -3,   /* lower above upper; or others are finite, or coincide, than when exported */
-  KPIRL_MPC_ERROR_MEMORY = -4,   /* the memory is too small or not aligned */
-  KPIRL_MPC_ERROR_SETTINGS = -5, /* a setting is out of its range */
-  KPIRL_MPC_ERROR_CONTROLLER = -6, /* this is no initialised controller */
-  KPIRL_MPC_ERROR_UNSUPPORTED = -7 /* the exported solver cannot do this */
-} kpirl_mpc_status;
-
-/* True when the solver did what it was asked to do: CONVERGED or STEPS_TAKEN. Then no output is NaN or infinite. */
+/* True when the solver did what it was asked to do: CONVERGED, STEPS_TAKEN or ACCEPTABLE. Then no output is NaN or
+ * infinite. */
 int kpirl_mpc_ok(kpirl_mpc_status status);
 
 /* A sentence that says what happened and what to do; never NULL. */
@@ -94,10 +69,12 @@ kpirl_mpc_status kpirl_mpc_reset(kpirl_mpc *mpc);
 
 /* ---- what may change at run time ---------------------------------------------------------------------------- */
 
+/* SQP has its iterations and tolerance compiled in: it takes neither another max_iterations nor a time limit. */
 typedef struct kpirl_mpc_settings {
-  int max_iterations;       /* before ITERATION_LIMIT; 1 .. KPIRL_MPC_MAX_ITERATIONS */
+  int max_iterations;       /* >= 1, before ITERATION_LIMIT */
   int steps;                /* 0: iterate until the conditions hold; else take exactly so many Newton steps without line
-                               search, the real-time iteration. Gradient descent: its number of steps, fixed. */
+                               search, the real-time iteration. Gradient descent: its number of steps, fixed, from 1 to
+                               KPIRL_MPC_MAX_ITERATIONS. */
   kpirl_mpc_real tolerance; /* > 0, of the relative KKT residual */
   kpirl_mpc_real barrier;   /* >= 0; above zero: min J - barrier sum log(slack), a smooth function of psi */
   double time_limit;        /* > 0 [s], from when solve is called, looked at before every iteration; 0: none */
@@ -113,15 +90,21 @@ kpirl_mpc_status kpirl_mpc_set_settings(kpirl_mpc *mpc, const kpirl_mpc_settings
 kpirl_mpc_status kpirl_mpc_set_bounds(kpirl_mpc *mpc, const kpirl_mpc_real *state_lower, const kpirl_mpc_real *state_upper,
                                       const kpirl_mpc_real *action_lower, const kpirl_mpc_real *action_upper);
 
+/* The same stage by stage: states (T+1, n_s), of which row 0 counts for free entries of s_0; actions (T, n_u). */
+kpirl_mpc_status kpirl_mpc_set_stage_bounds(kpirl_mpc *mpc, const kpirl_mpc_real *state_lower,
+                                            const kpirl_mpc_real *state_upper, const kpirl_mpc_real *action_lower,
+                                            const kpirl_mpc_real *action_upper);
+
 /* psi (n_psi) for all solves that bring none of their own. */
 kpirl_mpc_status kpirl_mpc_set_parameters(kpirl_mpc *mpc, const kpirl_mpc_real *psi);
 
 /* ---- solving ------------------------------------------------------------------------------------------------ */
 
 typedef struct kpirl_mpc_input {
-  const kpirl_mpc_real *state;   /* s_0 (n_s) */
-  const kpirl_mpc_real *context; /* c (n_c), for example the goal; may be NULL when there is none */
-  const kpirl_mpc_real *psi;     /* (n_psi); NULL: those of set_parameters */
+  const kpirl_mpc_real *state;    /* s_0 (n_s); free entries are not looked at, but must be finite */
+  const kpirl_mpc_real *context;  /* c (n_c), for example the goal; may be NULL when there is none */
+  const kpirl_mpc_real *psi;      /* (n_psi); NULL: those of set_parameters */
+  const kpirl_mpc_real *schedule; /* d (T+1, n_d); NULL: the exported one. Interior-point method alone. */
 } kpirl_mpc_input;
 
 /* Where to start: all arrays may be NULL but states and actions. Without multipliers it is a cold start from there. */
@@ -132,17 +115,24 @@ typedef struct kpirl_mpc_guess {
   const kpirl_mpc_real *state_bounds;
   const kpirl_mpc_real *action_bounds;
   const kpirl_mpc_real *path;
+  const kpirl_mpc_real *path_equality;
+  const kpirl_mpc_real *terminal;
+  const kpirl_mpc_real *terminal_equality;
 } kpirl_mpc_guess;
 
 /* A plan, its multipliers, and the evidence of how good it is. Multipliers have the signs of
- * J + dynamics . (f(s, u) - s_next) + state_bounds . s + action_bounds . u + path . h. */
+ * J + dynamics . (f - s_next) + state_bounds . s + action_bounds . u + path . h + path_equality . e
+ *   + terminal . h_T + terminal_equality . e_T. */
 typedef struct kpirl_mpc_solution {
-  kpirl_mpc_real states[(KPIRL_MPC_HORIZON + 1) * KPIRL_MPC_N_STATES]; /* (T+1, n_s), s_0 first */
-  kpirl_mpc_real actions[KPIRL_MPC_HORIZON * KPIRL_MPC_N_ACTIONS];     /* (T, n_u): command the first row */
-  kpirl_mpc_real dynamics[KPIRL_MPC_HORIZON * KPIRL_MPC_N_STATES];     /* (T, n_s) costates */
-  kpirl_mpc_real state_bounds[KPIRL_MPC_HORIZON * KPIRL_MPC_N_STATES]; /* (T, n_s) of s_1 .. s_T */
-  kpirl_mpc_real action_bounds[KPIRL_MPC_HORIZON * KPIRL_MPC_N_ACTIONS];                 /* (T, n_u) */
-  kpirl_mpc_real path[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_HORIZON * KPIRL_MPC_N_PATH)]; /* (T, n_h) */
+  kpirl_mpc_real states[(KPIRL_MPC_HORIZON + 1) * KPIRL_MPC_N_STATES];                        /* (T+1, n_s), s_0 first */
+  kpirl_mpc_real actions[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_HORIZON * KPIRL_MPC_N_ACTIONS)];            /* (T, n_u) */
+  kpirl_mpc_real dynamics[KPIRL_MPC_HORIZON * KPIRL_MPC_N_STATES];                            /* (T, n_s) costates */
+  kpirl_mpc_real state_bounds[(KPIRL_MPC_HORIZON + 1) * KPIRL_MPC_N_STATES];                  /* (T+1, n_s); 0 for given s_0 */
+  kpirl_mpc_real action_bounds[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_HORIZON * KPIRL_MPC_N_ACTIONS)];      /* (T, n_u) */
+  kpirl_mpc_real path[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_HORIZON * KPIRL_MPC_N_PATH)];                  /* (T, n_h) */
+  kpirl_mpc_real path_equality[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_HORIZON * KPIRL_MPC_N_PATH_EQUALITY)]; /* (T, n_e) */
+  kpirl_mpc_real terminal[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_TERMINAL)];                              /* of h_T */
+  kpirl_mpc_real terminal_equality[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_TERMINAL_EQUALITY)];            /* of e_T */
   kpirl_mpc_real objective;
   kpirl_mpc_real residual;        /* feasibility, or the largest of the other two over scale: "KKT residual" */
   kpirl_mpc_real stationarity;    /* largest entry of the Lagrangian's gradient */
@@ -150,7 +140,7 @@ typedef struct kpirl_mpc_solution {
   kpirl_mpc_real complementarity; /* largest |multiplier * slack - barrier| */
   kpirl_mpc_real scale;           /* max(1, gradient of the objective, multipliers) */
   double seconds;                 /* by the clock of the settings; -1 without one */
-  int iterations;
+  int iterations;                 /* -1 for SQP, which does not say */
   kpirl_mpc_status status;
 } kpirl_mpc_solution;
 
@@ -162,20 +152,20 @@ kpirl_mpc_status kpirl_mpc_solve(kpirl_mpc *mpc, const kpirl_mpc_input *input, c
 /* All arrays of a solution, as the guess that starts from it. */
 kpirl_mpc_guess kpirl_mpc_resume(const kpirl_mpc_solution *solution);
 
-/* The guess for the next period: everything one step earlier; the last action is taken again, the last multipliers stay.
- * Only the arrays change. psi: as in an input. */
-kpirl_mpc_status kpirl_mpc_shift(kpirl_mpc *mpc, const kpirl_mpc_real *psi, kpirl_mpc_solution *solution);
+/* The guess for the next period: everything one step earlier; the last action is taken again from s_T, with the input's
+ * numbers of the last step, and the last multipliers stay. Only the arrays change. input->state may be NULL. */
+kpirl_mpc_status kpirl_mpc_shift(kpirl_mpc *mpc, const kpirl_mpc_input *input, kpirl_mpc_solution *solution);
 
-/* next (n_s) = f(state, action; psi); psi as in an input. */
-kpirl_mpc_status kpirl_mpc_predict(kpirl_mpc *mpc, const kpirl_mpc_real *state, const kpirl_mpc_real *action,
-                                   const kpirl_mpc_real *psi, kpirl_mpc_real *next);
+/* next (n_s) = f(s_0, action; ..), with the state and all other numbers of an input; `next` may be where its state is. */
+kpirl_mpc_status kpirl_mpc_predict(kpirl_mpc *mpc, const kpirl_mpc_input *input, const kpirl_mpc_real *action,
+                                   kpirl_mpc_real *next);
 
 /* ---- learning ----------------------------------------------------------------------------------------------- */
 
 /* Gradients of a function L of the plan. */
 typedef struct kpirl_mpc_gradients {
   kpirl_mpc_real psi[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_PARAMETERS)];
-  kpirl_mpc_real state[KPIRL_MPC_N_STATES]; /* by s_0 */
+  kpirl_mpc_real state[KPIRL_MPC_N_STATES]; /* by the given entries of s_0; 0 for free ones */
   kpirl_mpc_real context[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_CONTEXT)];
   kpirl_mpc_real residual; /* relative KKT residual of the plan: the gradient of a solution needs it to be small */
   kpirl_mpc_real pivot;    /* smallest pivot: the Hessian along the dynamics is positive when this is */
@@ -185,7 +175,7 @@ typedef struct kpirl_mpc_gradients {
  * (T, n_u). Returns CONVERGED when the gradient is to be believed, NOT_SOLVED or NOT_A_MINIMUM when it is not but was
  * computed all the same, NOT_FINITE when it could not be; or an error.
  * Interior-point method: one adjoint solve on the Newton system at the plan, with the barrier of the settings.
- * Gradient descent: the derivative of its steps; `guess` must be what solve was called with. */
+ * Gradient descent: the derivative of its steps; `guess` must be what solve was called with. SQP has none. */
 kpirl_mpc_status kpirl_mpc_gradient(kpirl_mpc *mpc, const kpirl_mpc_input *input, const kpirl_mpc_guess *guess,
                                     const kpirl_mpc_solution *solution, const kpirl_mpc_real *by_states,
                                     const kpirl_mpc_real *by_actions, kpirl_mpc_gradients *gradients);

@@ -1,125 +1,151 @@
 /* SPDX-License-Identifier: MIT
  *
- * The derivative of a solution by the implicit function theorem. With v = (w, lambda, y, z, nu), p = (psi, s_0, c) and the
+ * The derivative of a solution by the implicit function theorem. With v = (x, costates, y, z, nu), p = (psi, s_0, c) and the
  * conditions F(v; p) = 0 of kpirl_mpc_newton.c at a fixed tau,
  *
  *     dL/dp = -vbar . dF/dp,    (dF/dv)' vbar = dL/dv:
  *
- * one step of the same Newton system, whose right-hand side is the gradient of L.
+ * one solve of the same linear-quadratic problem, with the gradient of L in the place of the right-hand side.
  */
-#include "kpirl_mpc_newton.h"
-#include "kpirl_mpc_rows.h"
-#include "kpirl_mpc_start.h"
+#include "kpirl_mpc_interface.h"
 
 #include <string.h>
-#include <tgmath.h>
 
-enum { NS = KPIRL_MPC_N_STATES, NU = KPIRL_MPC_N_ACTIONS, T = KPIRL_MPC_HORIZON };
-enum { ROWS = KPIRL_MPC_N_ROWS, FORCES = KPIRL_MPC_N_FORCES, FIXED = KPIRL_MPC_N_FIXED };
-
-typedef kpirl_mpc_real real;
+enum { NS = KPIRL_MPC_N_STATES, NU = KPIRL_MPC_N_ACTIONS, NX = NS + NU, T = KPIRL_MPC_HORIZON };
+enum { NH = KPIRL_MPC_N_PATH, NE = KPIRL_MPC_N_PATH_EQUALITY, NW = KPIRL_MPC_N_POINT };
+enum { NHT = KPIRL_MPC_N_TERMINAL, NET = KPIRL_MPC_N_TERMINAL_EQUALITY };
+enum { NP = KPIRL_MPC_N_PARAMETERS, NC = KPIRL_MPC_N_CONTEXT };
+enum { ROUNDS = 2 }; /* proximal steps, each of which leaves a share of about PROXIMAL of the equalities' multipliers */
 
 static const real KKT_RESIDUAL = (real)1e-6; /* of a plan whose gradient is to be believed */
 
-static real larger(real a, real b) { return a > b ? a : b; }
-static real smaller(real a, real b) { return a < b ? a : b; }
-
-/* Solve the Newton system K v = (slope, 0): the step of newton_step for the gradient r = -slope, without defects, and with
- * g, tau such that no force is left in it. Where bounds coincide, nu is found in two proximal steps. */
-static void solve_adjoint(kpirl_mpc *mpc, const real *by_states, const real *by_actions) {
-  kpirl_mpc_workspace *work = &mpc->work;
-  kpirl_mpc_derivatives *d = &work->at;
-  real nu[KPIRL_MPC_ROOM(KPIRL_MPC_N_FIXED)] = {0};
-  const real tau = work->tau;
-  int t, i, round;
-  for (t = 0; t < T; ++t) {
-    for (i = 0; i < NS; ++i) d->r[t * KPIRL_MPC_N_X + i] = t ? -by_states[t * NS + i] : 0;
-    for (i = 0; i < NU; ++i) d->r[t * KPIRL_MPC_N_X + NS + i] = -by_actions[t * NU + i];
-  }
-  for (i = 0; i < NS; ++i) d->r_last[i] = -by_states[T * NS + i];
-  memset(d->defects, 0, sizeof d->defects);
-  memset(d->gap, 0, sizeof d->gap);
-  memset(d->off, 0, sizeof d->off);
-  for (i = 0; i < ROWS; ++i) d->rows[i] = i < ROWS - FORCES ? -work->iterate.y[i] : 0; /* force 0; or z, which r lacks */
-  work->tau = 0;
-  for (round = 0; round < (FIXED > 0 ? 2 : 1); ++round) {
-    memcpy(work->iterate.nu, nu, sizeof nu);
-    kpirl_mpc_find_step(mpc, 0);
-    for (i = 0; i < FIXED; ++i) nu[i] += work->step.change.nu[i];
-  }
-  work->tau = tau;
-}
-
-/* by_start = the s_0 part of H_0 x_0 + F_0' lambda_1 + G_0' mu_0 with x_0 = (0, u_0). */
-static void gradient_of_start(const kpirl_mpc_workspace *work, const real *direct, real *gradient) {
-  const kpirl_mpc_derivatives *d = &work->at;
-  const kpirl_mpc_iterate *v = &work->step.change;
-  int i, j;
-  for (i = 0; i < NS; ++i) {
-    real sum = 0;
-    for (j = 0; j < NU; ++j) sum += d->H[i + (NS + j) * KPIRL_MPC_N_X] * v->point[(T + 1) * NS + j];
-    for (j = 0; j < NS; ++j) sum += d->F[j + i * NS] * v->costates[j];
-    for (j = 0; j < KPIRL_MPC_N_PATH; ++j) sum += d->G[j + i * KPIRL_MPC_N_PATH] * v->z[KPIRL_MPC_N_BOUNDS + j];
-    gradient[i] = direct[i] - sum;
+/* At a barrier, slacks and multipliers as they are at the plan; of bounds on both sides only the difference is known. */
+static void stand_on_central_path(kpirl_mpc_core *core) {
+  kpirl_mpc_iterate *at = &core->at;
+  const int bounds = core->n_lower + core->n_upper, m = kpirl_mpc_n_inequalities(core);
+  int i;
+  for (i = 0; i < m; ++i) {
+    if (!(core->d.g[i] < 0)) continue;
+    at->y[i] = -core->d.g[i];
+    at->z[i] = i < bounds ? core->tau / at->y[i] : kpirl_mpc_larger(at->z[i], 0);
   }
 }
 
-/* How psi and the context enter the conditions, weighted with the adjoint. */
-static void pull_back(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, kpirl_mpc_gradients *gradients) {
-  kpirl_mpc_workspace *work = &mpc->work;
-  const kpirl_mpc_iterate *at = &work->iterate, *v = &work->step.change;
-  const real *arguments[10];
-  real *results[2];
-  int t, i;
-  for (t = 0; t < T; ++t) {
-    memcpy(work->columns + t * KPIRL_MPC_N_X, v->point + t * NS, NS * sizeof(real));
-    memcpy(work->columns + t * KPIRL_MPC_N_X + NS, v->point + (T + 1) * NS + t * NU, NU * sizeof(real));
+/* The core at a plan, with second derivatives there. */
+static void stand_at(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_solution *solution) {
+  kpirl_mpc_core *core = (kpirl_mpc_core *)mpc->work.core;
+  const kpirl_mpc_guess plan = kpirl_mpc_resume(solution);
+  const kpirl_mpc_start start = kpirl_mpc_take_guess(mpc, &plan);
+  const real barrier = mpc->settings.barrier;
+  const int bounds = core->n_lower + core->n_upper;
+  core->numbers = *numbers;
+  core->options = kpirl_mpc_options_of(mpc);
+  core->failed = 0;
+  core->tau = barrier > 0 ? barrier : mpc->settings.tolerance / 10; /* the smoothed problem's gradient is off by O(tau) */
+  kpirl_mpc_warm_start(core, &start, core->tau);
+  if (barrier > 0) {
+    memcpy(core->at.z + bounds, start.path, (size_t)(T * NH + NHT) * sizeof(real));
+    stand_on_central_path(core);
   }
-  arguments[0] = at->point;
-  arguments[1] = at->point + (T + 1) * NS;
-  arguments[2] = numbers->psi;
-  arguments[3] = numbers->context;
-  arguments[4] = at->costates;
-  arguments[5] = at->z + KPIRL_MPC_N_BOUNDS;
-  arguments[6] = work->columns;
-  arguments[7] = v->point + T * NS;
-  arguments[8] = v->costates;
-  arguments[9] = v->z + KPIRL_MPC_N_BOUNDS;
-  results[0] = gradients->psi;
-  results[1] = gradients->context;
-  kpirl_mpc_call(mpc, kpirl_mpc_pull, 10, arguments, 2, results);
-  for (i = 0; i < KPIRL_MPC_N_PARAMETERS; ++i) gradients->psi[i] = -gradients->psi[i];
-  for (i = 0; i < KPIRL_MPC_N_CONTEXT; ++i) gradients->context[i] = -gradients->context[i];
+  kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
+}
+
+/* vbar in core->step.change, but y, from the factors; slope: dL/dx. Equalities by proximal steps, from nu = 0. */
+static void solve_adjoint(kpirl_mpc_core *core, const real *slope) {
+  const kpirl_mpc_derivatives *d = &core->d;
+  kpirl_mpc_iterate *v = &core->step.change;
+  const int bounds = core->n_lower + core->n_upper, m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+  int i, round;
+  memset(core->force, 0, (size_t)m * sizeof(real));
+  memset(core->trial.costates, 0, T * NS * sizeof(real)); /* no defects */
+  memset(core->start, 0, NS * sizeof(real));
+  memset(v->nu, 0, (size_t)n_c * sizeof(real));
+  for (round = 0; round < (n_c > 0 ? ROUNDS : 1); ++round) {
+    for (i = 0; i < NW; ++i) core->right[i] = -slope[i];
+    kpirl_mpc_push_bounds(core, core->force, v->nu, core->right);
+    kpirl_mpc_path_push(core, d->E, NE, NET, v->nu + core->n_fixed, core->right);
+    kpirl_mpc_substitute(T, NS, NU, KPIRL_MPC_N_FREE, kpirl_mpc_exported_free, d->F, &core->factors, core->right,
+                         core->trial.costates, core->start, core->scratch, v->x, v->costates);
+    memset(core->trial.nu, 0, (size_t)n_c * sizeof(real));
+    for (i = 0; i < core->n_fixed; ++i) core->trial.nu[i] = v->x[core->fixed[i]];
+    kpirl_mpc_path_times(core, d->E, NE, NET, v->x, core->trial.nu + core->n_fixed);
+    kpirl_mpc_axpy(1 / KPIRL_MPC_PROXIMAL, core->trial.nu, n_c, v->nu);
+  }
+  memset(v->z, 0, (size_t)m * sizeof(real));
+  kpirl_mpc_path_times(core, d->G, NH, NHT, v->x, v->z + bounds);
+  for (i = bounds; i < m; ++i) v->z[i] *= core->weights[i];
+}
+
+/* by_start = the s_0 part of H_0 x_0 + F_0' lambda_1 + G_0' z_0 + E_0' nu_0, for the given entries. */
+static void gradient_of_start(kpirl_mpc_core *core, const real *direct, real *gradient) {
+  const kpirl_mpc_derivatives *d = &core->d;
+  const kpirl_mpc_iterate *v = &core->step.change;
+  real sum[NX] = {0};
+  int i;
+  kpirl_mpc_symmetric_times_vector(d->H, NX, v->x, sum);
+  kpirl_mpc_transposed_times_vector(d->F, NS, NX, v->costates, sum);
+  if (NH > 0) kpirl_mpc_times_vector(d->G, NX, NH, v->z + core->n_lower + core->n_upper, sum);
+  if (NE > 0) kpirl_mpc_times_vector(d->E, NX, NE, v->nu + core->n_fixed, sum);
+  for (i = 0; i < NS; ++i) gradient[i] = kpirl_mpc_is_given(i) ? direct[i] - sum[i] : 0;
+}
+
+/* gradients -= how psi and the context enter the conditions, weighted with the adjoint. */
+static void pull_back(kpirl_mpc *mpc, kpirl_mpc_gradients *gradients) {
+  const kpirl_mpc_core *core = (const kpirl_mpc_core *)mpc->work.core;
+  const kpirl_mpc_iterate *at = &core->at, *v = &core->step.change;
+  const int bounds = core->n_lower + core->n_upper, fixed = core->n_fixed;
+  real by_psi[KPIRL_MPC_AT_LEAST_ONE(NP)] = {0}, by_context[KPIRL_MPC_AT_LEAST_ONE(NC)] = {0};
+  int t;
+  for (t = 0; t <= T; ++t) {
+    kpirl_mpc_pull_arguments from = {0};
+    kpirl_mpc_pull_results to = {0};
+    from.x = at->x + t * NX;
+    from.psi = core->numbers.psi;
+    from.context = core->numbers.context;
+    from.schedule = core->numbers.schedule + t * KPIRL_MPC_N_SCHEDULE;
+    from.costates = at->costates + t * NS;
+    from.z = at->z + bounds + t * NH;
+    from.nu = at->nu + fixed + t * NE;
+    from.dx = v->x + t * NX;
+    from.dcostates = v->costates + t * NS;
+    from.dz = v->z + bounds + t * NH;
+    from.dnu = v->nu + fixed + t * NE;
+    to.by_psi = by_psi;
+    to.by_context = by_context;
+    (void)(t < T ? kpirl_mpc_stage_pull : kpirl_mpc_last_pull)(&mpc->scratch, &from, &to);
+    kpirl_mpc_axpy(-1, by_psi, NP, gradients->psi);
+    kpirl_mpc_axpy(-1, by_context, NC, gradients->context);
+  }
 }
 
 kpirl_mpc_status kpirl_mpc_differentiate_plan(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers,
                                               const kpirl_mpc_guess *guess, const kpirl_mpc_solution *solution,
                                               const real *by_states, const real *by_actions,
                                               kpirl_mpc_gradients *gradients) {
-  kpirl_mpc_workspace *work = &mpc->work;
-  const kpirl_mpc_guess plan = kpirl_mpc_resume(solution);
+  kpirl_mpc_core *core = (kpirl_mpc_core *)mpc->work.core;
+  const int n_pivots = T * NU, n_free = KPIRL_MPC_N_FREE;
   kpirl_mpc_gradients found;
-  int i;
+  kpirl_mpc_residuals residuals;
+  int positive, i;
   (void)guess;
   memset(&found, 0, sizeof found);
-  kpirl_mpc_sort_bounds(mpc);
-  if (mpc->settings.barrier > 0) {
-    work->tau = mpc->settings.barrier;
-    kpirl_mpc_stand_at(mpc, numbers, &plan, work->tau);
-  } else {
-    work->tau = mpc->settings.tolerance / 10; /* the smoothed problem's gradient is off by O(tau) */
-    kpirl_mpc_warm_start(mpc, numbers, &plan, work->tau);
-  }
-  kpirl_mpc_differentiate(mpc, numbers, 1);
-  if (!kpirl_mpc_finite(mpc) || !kpirl_mpc_matrices_finite(mpc)) return KPIRL_MPC_NOT_FINITE;
-  kpirl_mpc_residuals(mpc, mpc->settings.barrier, &work->scratch);
-  found.residual = work->scratch.residual;
-  solve_adjoint(mpc, by_states, by_actions);
-  gradient_of_start(work, by_states, found.state);
-  pull_back(mpc, numbers, &found);
-  found.pivot = work->step.pivots[0];
-  for (i = 1; i < T * NU; ++i) found.pivot = smaller(work->step.pivots[i], found.pivot);
+  stand_at(mpc, numbers, solution);
+  kpirl_mpc_find_residuals(core, mpc->settings.barrier, &residuals);
+  found.residual = kpirl_mpc_relative_residual(residuals.stationarity, residuals.feasibility, residuals.complementarity,
+                                               residuals.scale);
+  positive = kpirl_mpc_factorise(core, 0);
+  kpirl_mpc_interleave(by_states, by_actions, mpc->work.x);
+  solve_adjoint(core, mpc->work.x);
+  gradient_of_start(core, by_states, found.state);
+  pull_back(mpc, &found);
+  found.pivot = (real)INFINITY;
+  for (i = 0; i < n_pivots; ++i) found.pivot = kpirl_mpc_smaller(core->factors.pivots[i], found.pivot);
+  for (i = 0; i < n_free; ++i) found.pivot = kpirl_mpc_smaller(core->factors.free_pivots[i], found.pivot);
+  if (core->failed || !isfinite(found.residual) || !kpirl_mpc_all_finite(found.psi, NP) ||
+      !kpirl_mpc_all_finite(found.state, NS) || !kpirl_mpc_all_finite(found.context, NC))
+    return KPIRL_MPC_NOT_FINITE;
   *gradients = found;
-  if (!work->step.positive) return KPIRL_MPC_NOT_A_MINIMUM;
-  return found.residual <= larger(KKT_RESIDUAL, mpc->settings.tolerance) ? KPIRL_MPC_CONVERGED : KPIRL_MPC_NOT_SOLVED;
+  if (!positive) return KPIRL_MPC_NOT_A_MINIMUM;
+  return found.residual <= kpirl_mpc_larger(KKT_RESIDUAL, mpc->settings.tolerance) ? KPIRL_MPC_CONVERGED
+                                                                                   : KPIRL_MPC_NOT_SOLVED;
 }

@@ -3,155 +3,193 @@
  * Sequential quadratic programming. The solver itself is generated (CasADi's sqpmethod with qrqp); it does not say how it
  * ended, so the first-order conditions are measured where it stopped.
  */
-#include "kpirl_mpc_memory.h"
+#include "kpirl_mpc_controller.h"
 
 #include <string.h>
-#include <tgmath.h>
 
-enum { NS = KPIRL_MPC_N_STATES, NU = KPIRL_MPC_N_ACTIONS, NX = KPIRL_MPC_N_X, NH = KPIRL_MPC_N_PATH };
-enum { T = KPIRL_MPC_HORIZON, NW = KPIRL_MPC_N_W, NP = KPIRL_MPC_N_PARAMETERS, NC = KPIRL_MPC_N_CONTEXT };
+enum { NS = KPIRL_MPC_N_STATES, NU = KPIRL_MPC_N_ACTIONS, T = KPIRL_MPC_HORIZON, NW = KPIRL_MPC_N_POINT };
+enum { STATES = (T + 1) * NS, ROWS = KPIRL_MPC_N_ROWS, EQUALITIES = KPIRL_MPC_N_EQUALITIES };
+enum { NP = KPIRL_MPC_N_PARAMETERS, NC = KPIRL_MPC_N_CONTEXT };
 
-typedef kpirl_mpc_real real;
+/* Where the multiplier of every row stands among all multipliers of the constraints, one array behind the other: dynamics,
+ * path equalities, terminal equalities, path and terminal constraints. Rows that the schedule switches off are none. */
+extern const int kpirl_mpc_exported_rows[ROWS];
 
 static real larger(real a, real b) { return a > b || isnan(a) ? a : b; }
 
-/* Tolerance and iterations are compiled in, and there is no way to stop it. */
-kpirl_mpc_status kpirl_mpc_check_settings(const kpirl_mpc_settings *settings) {
-  const kpirl_mpc_settings *fixed = &kpirl_mpc_exported_settings;
-  return settings->max_iterations == fixed->max_iterations && settings->steps == 0 && settings->barrier <= 0 &&
-                 settings->time_limit <= 0
-             ? KPIRL_MPC_CONVERGED
-             : KPIRL_MPC_ERROR_UNSUPPORTED;
+int kpirl_mpc_begin(kpirl_mpc *mpc) {
+  (void)mpc;
+  return 1;
 }
 
-static real of_entry(const real *state, const real *action, int entry) {
-  return entry < T * NS ? state[entry % NS] : action[(entry - T * NS) % NU];
+/* Tolerance and iterations are compiled in, and there is no way to stop it. */
+int kpirl_mpc_knows(const kpirl_mpc_settings *settings) {
+  const kpirl_mpc_settings *fixed = &kpirl_mpc_exported_settings;
+  return settings->max_iterations == fixed->max_iterations && settings->steps == 0 && settings->barrier <= 0 &&
+         settings->time_limit <= 0;
+}
+
+int kpirl_mpc_follows_schedules(void) { return 0; }
+
+/* ---- arguments ---------------------------------------------------------------------------------------------- */
+
+/* The place of a row's multiplier in one of these arrays. */
+static size_t find(int row, size_t *array) {
+  static const size_t lengths[] = {T * NS, T * KPIRL_MPC_N_PATH_EQUALITY, KPIRL_MPC_N_TERMINAL_EQUALITY, T * KPIRL_MPC_N_PATH,
+                                   KPIRL_MPC_N_TERMINAL};
+  size_t place = (size_t)kpirl_mpc_exported_rows[row];
+  for (*array = 0; place >= lengths[*array]; ++*array) place -= lengths[*array];
+  return place;
+}
+
+static void take_multipliers(const kpirl_mpc_guess *guess, real *of_rows) {
+  const real *const from[] = {guess->dynamics, guess->path_equality, guess->terminal_equality, guess->path, guess->terminal};
+  size_t array, place;
+  int i;
+  for (i = 0; i < ROWS; ++i) {
+    place = find(i, &array);
+    of_rows[i] = from[array][place];
+  }
+}
+
+static void give_multipliers(const real *of_rows, kpirl_mpc_solution *solution) {
+  real *const to[] = {solution->dynamics, solution->path_equality, solution->terminal_equality, solution->path,
+                      solution->terminal};
+  size_t array, place;
+  int i;
+  for (i = 0; i < ROWS; ++i) {
+    place = find(i, &array);
+    to[array][place] = of_rows[i];
+  }
+}
+
+static void copy(real *to, const real *from, int count) {
+  if (count > 0) memcpy(to, from, (size_t)count * sizeof(real));
 }
 
 /* Where no guess is given: the rollout of no action. */
 static void roll_out(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, real *w) {
-  const real *arguments[3];
-  real *results[1];
+  real x[NS + NU] = {0};
   int t;
   memset(w, 0, NW * sizeof(real));
+  memcpy(w, numbers->s0, NS * sizeof(real));
   for (t = 0; t < T; ++t) {
-    arguments[0] = t ? w + (t - 1) * NS : numbers->state;
-    arguments[1] = w + T * NS + t * NU;
-    arguments[2] = numbers->psi;
-    results[0] = w + t * NS;
-    kpirl_mpc_call(mpc, kpirl_mpc_dynamics, 3, arguments, 1, results);
+    memcpy(x, w + t * NS, NS * sizeof(real));
+    kpirl_mpc_step_model(mpc, numbers, t, x, w + (t + 1) * NS);
   }
 }
 
 static void fill_arguments(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess) {
   kpirl_mpc_workspace *work = &mpc->work;
-  const kpirl_mpc_bounds *bounds = &mpc->bounds;
   int i;
   memset(work->guess_w, 0, sizeof work->guess_w);
-  memset(work->guess_g, 0, sizeof work->guess_g);
+  memset(work->guess_rows, 0, sizeof work->guess_rows);
   if (guess) {
-    memcpy(work->guess, guess->states + NS, T * NS * sizeof(real));
-    memcpy(work->guess + T * NS, guess->actions, T * NU * sizeof(real));
+    copy(work->guess, guess->states, STATES);
+    copy(work->guess + STATES, guess->actions, T * NU);
   } else {
     roll_out(mpc, numbers, work->guess);
   }
   if (guess && guess->dynamics) {
-    memcpy(work->guess_w, guess->state_bounds, T * NS * sizeof(real));
-    memcpy(work->guess_w + T * NS, guess->action_bounds, T * NU * sizeof(real));
-    memcpy(work->guess_g, guess->dynamics, T * NS * sizeof(real));
-    if (NH > 0) memcpy(work->guess_g + T * NS, guess->path, T * NH * sizeof(real));
+    copy(work->guess_w, guess->state_bounds, STATES);
+    copy(work->guess_w + STATES, guess->action_bounds, T * NU);
+    take_multipliers(guess, work->guess_rows);
   }
-  for (i = 0; i < NW; ++i) {
-    work->lower[i] = of_entry(bounds->state_lower, bounds->action_lower, i);
-    work->upper[i] = of_entry(bounds->state_upper, bounds->action_upper, i);
+  kpirl_mpc_separate(mpc->lower, work->lower, work->lower + STATES);
+  kpirl_mpc_separate(mpc->upper, work->upper, work->upper + STATES);
+  for (i = 0; i < NS; ++i)
+    if (kpirl_mpc_is_given(i)) work->guess[i] = work->lower[i] = work->upper[i] = numbers->s0[i];
+  for (i = 0; i < ROWS; ++i) {
+    work->lower_rows[i] = i < EQUALITIES ? 0 : -(real)INFINITY;
+    work->upper_rows[i] = 0;
   }
-  for (i = 0; i < KPIRL_MPC_N_G; ++i) {
-    work->lower_g[i] = i < T * NS ? 0 : -(real)INFINITY;
-    work->upper_g[i] = 0;
-  }
-  memcpy(work->numbers, numbers->state, NS * sizeof(real));
-  if (NP > 0) memcpy(work->numbers + NS, numbers->psi, NP * sizeof(real));
-  if (NC > 0) memcpy(work->numbers + NS + NP, numbers->context, NC * sizeof(real));
+  copy(work->numbers, numbers->psi, NP);
+  copy(work->numbers + NP, numbers->context, NC);
 }
+
+/* ---- the first-order conditions ----------------------------------------------------------------------------- */
 
 /* The conditions of one bound with slack >= 0 and force >= 0. */
 static void add_bound(real slack, real force, real *violation, real *product) {
   *violation = larger(-slack, *violation);
-  *product = larger(larger(fabs(force * slack), -force), *product);
+  *product = larger(larger(kpirl_mpc_abs(force * slack), -force), *product);
 }
 
 /* Stationarity, feasibility, complementarity (and signs of multipliers), scale. */
 static void audit(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, kpirl_mpc_solution *solution) {
   kpirl_mpc_workspace *work = &mpc->work;
-  const real *arguments[6], *w = work->point + NS;
-  real *results[7], violation = 0, product = 0, stationarity = 0, scale = 1;
+  kpirl_mpc_audit_arguments at = {0};
+  kpirl_mpc_audit_results to = {0};
+  real violation = 0, product = 0, stationarity = 0, scale = 1;
   int i;
-  arguments[0] = work->point;
-  arguments[1] = w + T * NS;
-  arguments[2] = numbers->psi;
-  arguments[3] = numbers->context;
-  arguments[4] = work->lam_g;
-  arguments[5] = work->lam_g + T * NS;
-  results[0] = &solution->objective;
-  results[1] = work->defects;
-  results[2] = work->path;
-  results[3] = work->cost;
-  results[4] = work->cost_last;
-  results[5] = work->slope;
-  results[6] = work->slope_last;
-  kpirl_mpc_call(mpc, kpirl_mpc_stage_first, 6, arguments, 7, results);
+  at.w = work->w;
+  at.psi = numbers->psi;
+  at.context = numbers->context;
+  at.multipliers = work->of_rows;
+  to.cost = &solution->objective;
+  to.rows = work->rows;
+  to.cost_gradient = work->cost_gradient;
+  to.gradient = work->gradient;
+  (void)kpirl_mpc_audit(&mpc->scratch, &at, &to);
   for (i = 0; i < NW; ++i) {
-    const int state = i < T * NS, t = state ? i / NS + 1 : (i - T * NS) / NU;
-    const int place = state ? t * NX + i % NS : t * NX + NS + (i - T * NS) % NU, last = state && t == T;
-    const real nu = work->lam_w[i], low = work->lower[i], high = work->upper[i];
+    const real w = work->w[i], nu = work->of_w[i], low = work->lower[i], high = work->upper[i];
     const int two = isfinite(low) && isfinite(high);
-    stationarity = larger(fabs((last ? work->slope_last[i % NS] : work->slope[place]) + nu), stationarity);
-    scale = larger(fabs(last ? work->cost_last[i % NS] : work->cost[place]), scale);
+    if (kpirl_mpc_is_given(i)) continue;
+    stationarity = larger(kpirl_mpc_abs(work->gradient[i] + nu), stationarity);
+    scale = larger(kpirl_mpc_abs(work->cost_gradient[i]), scale);
     if (low == high) {
-      violation = larger(fabs(w[i] - low), violation);
+      violation = larger(kpirl_mpc_abs(w - low), violation);
       continue;
     }
-    if (isfinite(low)) add_bound(w[i] - low, two ? larger(-nu, 0) : -nu, &violation, &product);
-    if (isfinite(high)) add_bound(high - w[i], two ? larger(nu, 0) : nu, &violation, &product);
+    if (isfinite(low)) add_bound(w - low, two ? larger(-nu, 0) : -nu, &violation, &product);
+    if (isfinite(high)) add_bound(high - w, two ? larger(nu, 0) : nu, &violation, &product);
   }
-  for (i = 0; i < T * NH; ++i) add_bound(-work->path[i], work->lam_g[T * NS + i], &violation, &product);
-  violation = larger(kpirl_mpc_largest(work->defects, T * NS), violation);
-  scale = larger(kpirl_mpc_largest(work->lam_g, KPIRL_MPC_N_G), scale);
+  violation = larger(kpirl_mpc_largest(work->rows, EQUALITIES), violation);
+  for (i = EQUALITIES; i < ROWS; ++i) add_bound(-work->rows[i], work->of_rows[i], &violation, &product);
+  scale = larger(kpirl_mpc_largest(work->of_rows, ROWS), scale);
   kpirl_mpc_set_residuals(solution, stationarity, violation, product, scale);
 }
 
-void kpirl_mpc_run(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess,
-                   kpirl_mpc_solution *solution) {
+/* ---- the solver --------------------------------------------------------------------------------------------- */
+
+static void call_solver(kpirl_mpc *mpc) {
   kpirl_mpc_workspace *work = &mpc->work;
-  const real *arguments[8];
-  real *results[6] = {NULL, NULL, NULL, NULL, NULL, NULL};
+  kpirl_mpc_sqp_arguments at = {0};
+  kpirl_mpc_sqp_results to = {0};
+  at.x0 = work->guess;
+  at.p = work->numbers;
+  at.lbx = work->lower;
+  at.ubx = work->upper;
+  at.lbg = work->lower_rows;
+  at.ubg = work->upper_rows;
+  at.lam_x0 = work->guess_w;
+  at.lam_g0 = work->guess_rows;
+  memcpy(work->w, work->guess, sizeof work->w);
+  memset(work->of_w, 0, sizeof work->of_w);
+  memset(work->of_rows, 0, sizeof work->of_rows);
+  to.x = work->w;
+  to.lam_x = work->of_w;
+  to.lam_g = work->of_rows;
+  (void)kpirl_mpc_sqp(&mpc->scratch, &at, &to);
+}
+
+void kpirl_mpc_plan(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess,
+                    kpirl_mpc_solution *solution) {
+  kpirl_mpc_workspace *work = &mpc->work;
+  int i;
   fill_arguments(mpc, numbers, guess);
-  arguments[0] = work->guess;
-  arguments[1] = work->numbers;
-  arguments[2] = work->lower;
-  arguments[3] = work->upper;
-  arguments[4] = work->lower_g;
-  arguments[5] = work->upper_g;
-  arguments[6] = work->guess_w;
-  arguments[7] = work->guess_g;
-  memcpy(work->point, numbers->state, NS * sizeof(real));
-  memset(work->point + NS, 0, NW * sizeof(real));
-  memset(work->lam_w, 0, sizeof work->lam_w);
-  memset(work->lam_g, 0, sizeof work->lam_g);
-  results[0] = work->point + NS;
-  results[3] = work->lam_w;
-  results[4] = work->lam_g;
-  kpirl_mpc_call(mpc, kpirl_mpc_sqp_program, 8, arguments, 6, results);
+  call_solver(mpc);
+  memset(solution, 0, sizeof *solution);
   audit(mpc, numbers, solution);
-  memcpy(solution->states, work->point, sizeof solution->states);
-  memcpy(solution->actions, work->point + NS + T * NS, sizeof solution->actions);
-  memcpy(solution->dynamics, work->lam_g, sizeof solution->dynamics);
-  memcpy(solution->state_bounds, work->lam_w, sizeof solution->state_bounds);
-  memcpy(solution->action_bounds, work->lam_w + T * NS, sizeof solution->action_bounds);
-  memset(solution->path, 0, sizeof solution->path);
-  if (NH > 0) memcpy(solution->path, work->lam_g + T * NS, T * NH * sizeof(real));
+  copy(solution->states, work->w, STATES);
+  copy(solution->actions, work->w + STATES, T * NU);
+  copy(solution->state_bounds, work->of_w, STATES);
+  copy(solution->action_bounds, work->of_w + STATES, T * NU);
+  for (i = 0; i < NS; ++i)
+    if (kpirl_mpc_is_given(i)) solution->state_bounds[i] = 0;
+  give_multipliers(work->of_rows, solution);
   solution->iterations = -1; /* it does not say */
-  if (!kpirl_mpc_all_finite(work->point, NS + NW) || !isfinite(solution->residual))
+  if (!kpirl_mpc_all_finite(work->w, NW) || !isfinite(solution->residual))
     solution->status = KPIRL_MPC_NOT_FINITE;
   else
     solution->status = solution->residual <= mpc->settings.tolerance ? KPIRL_MPC_CONVERGED : KPIRL_MPC_FAILED;

@@ -8,8 +8,11 @@
 #if defined(__GNUC__) && defined(__AVX512F__)
 #define VECTOR_BYTES (8 * sizeof(real))
 #define TILE_VECTORS 4
-#elif defined(__GNUC__) && (defined(__AVX__) || defined(__SSE2__) || defined(__ARM_NEON))
+#elif defined(__GNUC__) && defined(__AVX__)
 #define VECTOR_BYTES 32
+#define TILE_VECTORS 2
+#elif defined(__GNUC__) && (defined(__SSE2__) || defined(__ARM_NEON))
+#define VECTOR_BYTES 16 /* wider ones than the processor's are kept in memory by gcc */
 #define TILE_VECTORS 2
 #endif
 
@@ -17,7 +20,11 @@
 enum { LANES = (int)(VECTOR_BYTES / sizeof(real)) }; /* at most 8: see few_rows */
 typedef real vector __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)), may_alias));
 #define INLINE static inline __attribute__((always_inline))
+#ifdef __clang__
+#define UNROLL _Pragma("clang loop unroll(full)")
+#else
 #define UNROLL _Pragma("GCC unroll 8")
+#endif
 
 INLINE void tile(const int vectors, const int columns, const real *x, int rows, int inner, const real *y, real *z, int stride,
                  int first, int end) {

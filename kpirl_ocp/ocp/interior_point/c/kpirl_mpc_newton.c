@@ -15,7 +15,6 @@
 
 #include <string.h>
 
-static const real PROXIMAL = (real)1e-9;  /* delta */
 static const real CORRECTED = (real)0.5;  /* length of the first step from which the second order is believed */
 
 /* ---- the linear-quadratic problem --------------------------------------------------------------------------- */
@@ -44,7 +43,7 @@ static void condense(const kpirl_mpc_core *core, int t, const real *diagonal, re
   add_rows(d->G + t * n_x * n_h, n, last ? DIM(core, n_terminal) : n_h, core->weights + kpirl_mpc_n_bounds(core) + t * n_h, M);
   if (n_e + DIM(core, n_terminal_equality) > 0) {
     const int rows = last ? DIM(core, n_terminal_equality) : n_e;
-    const real weight = 1 / PROXIMAL;
+    const real weight = 1 / KPIRL_MPC_PROXIMAL;
     for (j = 0; j < rows; ++j) add_rows(d->E + t * n_x * n_e + j * n, n, 1, &weight, M);
   }
 }
@@ -66,7 +65,7 @@ int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
   for (i = 0; i < m; ++i) core->weights[i] = core->at.z[i] / core->at.y[i];
   for (i = 0; i < core->n_lower; ++i) diagonal[core->lower[i]] += core->weights[i];
   for (i = 0; i < core->n_upper; ++i) diagonal[core->upper[i]] += core->weights[core->n_lower + i];
-  for (i = 0; i < core->n_fixed; ++i) diagonal[core->fixed[i]] += 1 / PROXIMAL;
+  for (i = 0; i < core->n_fixed; ++i) diagonal[core->fixed[i]] += 1 / KPIRL_MPC_PROXIMAL;
   for (i = 0; i < n_w; ++i) diagonal[i] += regularisation;
   condense(core, T, diagonal, factors->P + T * n_s * n_s);
   kpirl_mpc_mirror(factors->P + T * n_s * n_s, n_s);
@@ -90,7 +89,7 @@ static void solve(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
   real *fixing = change->nu;
   int i;
   for (i = 0; i < m; ++i) core->force[i] = core->target[i] / at->y[i] + core->weights[i] * (d->g[i] + at->y[i]);
-  for (i = 0; i < n_c; ++i) fixing[i] = at->nu[i] + d->c[i] / PROXIMAL;
+  for (i = 0; i < n_c; ++i) fixing[i] = at->nu[i] + d->c[i] / KPIRL_MPC_PROXIMAL;
   memcpy(core->right, d->slope, (size_t)n_w * sizeof(real));
   kpirl_mpc_push_bounds(core, core->force, fixing, core->right);
   kpirl_mpc_path_push(core, d->G, n_h, n_hT, core->force + kpirl_mpc_n_bounds(core), core->right);
@@ -106,10 +105,10 @@ static void solve(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
     change->y[i] = -(d->g[i] + at->y[i]) - dg;
     change->z[i] = core->force[i] + core->weights[i] * dg - at->z[i];
   }
-  for (i = 0; i < core->n_fixed; ++i) change->nu[i] = (d->c[i] + change->x[core->fixed[i]]) / PROXIMAL;
+  for (i = 0; i < core->n_fixed; ++i) change->nu[i] = (d->c[i] + change->x[core->fixed[i]]) / KPIRL_MPC_PROXIMAL;
   memcpy(change->nu + core->n_fixed, d->c + core->n_fixed, (size_t)(n_c - core->n_fixed) * sizeof(real));
   kpirl_mpc_path_times(core, d->E, n_e, n_eT, change->x, change->nu + core->n_fixed);
-  for (i = core->n_fixed; i < n_c; ++i) change->nu[i] /= PROXIMAL;
+  for (i = core->n_fixed; i < n_c; ++i) change->nu[i] /= KPIRL_MPC_PROXIMAL;
 }
 
 /* The longest step in (0, 1] that keeps value + length * change at least (1 - share) value; value > 0. */

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT
  *
- * The number type, and small mathematics on arrays. A maximum here is NaN when a number is.
+ * Small mathematics on numbers and arrays. A maximum here is NaN when a number is.
  */
 #ifndef KPIRL_MPC_REAL_H
 #define KPIRL_MPC_REAL_H
@@ -8,15 +8,17 @@
 #include <float.h>
 #include <math.h>
 
+#include "kpirl_mpc_number.h"
+
 #ifdef KPIRL_MPC_FLOAT
-typedef float kpirl_mpc_real;
 #define KPIRL_MPC_EPSILON FLT_EPSILON
 #define KPIRL_MPC_LARGEST_NUMBER FLT_MAX
+#define KPIRL_MPC_SMALLEST_NUMBER FLT_MIN
 #define KPIRL_MPC_MATH(name) name##f
 #else
-typedef double kpirl_mpc_real;
 #define KPIRL_MPC_EPSILON DBL_EPSILON
 #define KPIRL_MPC_LARGEST_NUMBER DBL_MAX
+#define KPIRL_MPC_SMALLEST_NUMBER DBL_MIN
 #define KPIRL_MPC_MATH(name) name
 #endif
 

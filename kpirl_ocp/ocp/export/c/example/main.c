@@ -14,7 +14,7 @@ int main(void) {
   kpirl_mpc *mpc = NULL;
   static kpirl_mpc_solution plan;
   kpirl_mpc_real state[KPIRL_MPC_N_STATES];
-  kpirl_mpc_input input = {state, kpirl_mpc_record_context[0], NULL};
+  kpirl_mpc_input input = {.state = state, .context = kpirl_mpc_record_context[0]};
   kpirl_mpc_guess guess;
   int period, i;
 
@@ -25,7 +25,7 @@ int main(void) {
   for (period = 0; period < KPIRL_MPC_HORIZON; ++period) {
     kpirl_mpc_status status;
     if (period > 0) {
-      if (kpirl_mpc_shift(mpc, NULL, &plan) != KPIRL_MPC_CONVERGED) return 1;
+      if (kpirl_mpc_shift(mpc, &input, &plan) != KPIRL_MPC_CONVERGED) return 1;
       guess = kpirl_mpc_resume(&plan);
     }
     status = kpirl_mpc_solve(mpc, &input, period > 0 ? &guess : NULL, &plan);
@@ -37,7 +37,7 @@ int main(void) {
       printf("%s\n", kpirl_mpc_message(status));
       return 1;
     }
-    if (kpirl_mpc_predict(mpc, state, plan.actions, NULL, state) != KPIRL_MPC_CONVERGED) return 1;
+    if (kpirl_mpc_predict(mpc, &input, plan.actions, state) != KPIRL_MPC_CONVERGED) return 1;
   }
   return 0;
 }

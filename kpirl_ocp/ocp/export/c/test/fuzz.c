@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "kpirl_mpc_memory.h"
+#include "kpirl_mpc_controller.h"
 #include "records.h"
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -47,10 +47,10 @@ static void fill(stream *from, const kpirl_mpc_real *usual, kpirl_mpc_real *valu
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
   static kpirl_mpc_solution plan, next;
   static kpirl_mpc_gradients gradients;
-  static kpirl_mpc_bounds bounds;
+  static kpirl_mpc_real lower[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_ACTIONS)], upper[KPIRL_MPC_N_STATES];
   kpirl_mpc_real state[KPIRL_MPC_N_STATES], context[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_CONTEXT)];
   kpirl_mpc_real psi[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_PARAMETERS)];
-  kpirl_mpc_input input = {state, context, psi};
+  kpirl_mpc_input input = {.state = state, .context = context, .psi = psi};
   kpirl_mpc_settings settings;
   kpirl_mpc_guess guess;
   kpirl_mpc *mpc = NULL;
@@ -67,10 +67,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
   if (byte(&from) % 4 == 3) settings.barrier = number(&from, (kpirl_mpc_real)1e-3);
   kpirl_mpc_set_settings(mpc, &settings);
   if (byte(&from) % 4 == 3) {
-    bounds = kpirl_mpc_exported_bounds;
-    fill(&from, bounds.action_lower, bounds.action_lower, KPIRL_MPC_N_ACTIONS);
-    fill(&from, bounds.state_upper, bounds.state_upper, KPIRL_MPC_N_STATES);
-    kpirl_mpc_set_bounds(mpc, bounds.state_lower, bounds.state_upper, bounds.action_lower, bounds.action_upper);
+    fill(&from, kpirl_mpc_exported_lower + KPIRL_MPC_N_STATES, lower, KPIRL_MPC_N_ACTIONS);
+    fill(&from, kpirl_mpc_exported_upper + KPIRL_MPC_N_STATES + KPIRL_MPC_N_ACTIONS, upper, KPIRL_MPC_N_STATES);
+    kpirl_mpc_set_bounds(mpc, NULL, upper, lower, NULL);
   }
 
   if (kpirl_mpc_solve(mpc, &input, NULL, &plan) < 0) return 0;

@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "kpirl_mpc_memory.h"
+#include "kpirl_mpc_controller.h"
 #include "records.h"
 
 #ifdef COUNT_ALLOCATIONS
@@ -29,14 +29,13 @@ void __wrap_free(void *memory) { ++allocations, __real_free(memory); }
 #endif
 
 enum { NS = KPIRL_MPC_N_STATES, NU = KPIRL_MPC_N_ACTIONS, T = KPIRL_MPC_HORIZON, NC = KPIRL_MPC_N_CONTEXT };
-enum { NP = KPIRL_MPC_N_PARAMETERS, STATES = (T + 1) * NS, ACTIONS = T * NU };
-
-typedef kpirl_mpc_real real;
+enum { NP = KPIRL_MPC_N_PARAMETERS, ND = (T + 1) * KPIRL_MPC_N_SCHEDULE, STATES = (T + 1) * NS, ACTIONS = T * NU };
 
 static kpirl_mpc memory;
 static kpirl_mpc_solution plan, before;
 static kpirl_mpc_gradients gradients, gradients_before;
 static real state[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_STATES)], context[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_CONTEXT)];
+static real schedule[KPIRL_MPC_AT_LEAST_ONE((KPIRL_MPC_HORIZON + 1) * KPIRL_MPC_N_SCHEDULE)];
 static real psi[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_PARAMETERS)];
 static unsigned long long seed = 1;
 static int failures = 0;
@@ -70,7 +69,8 @@ static int finite_plan(void) {
   int i, finite = isfinite(plan.objective) && isfinite(plan.residual) && isfinite(plan.scale);
   for (i = 0; i < STATES; ++i) finite = finite && isfinite(plan.states[i]);
   for (i = 0; i < ACTIONS; ++i) finite = finite && isfinite(plan.actions[i]);
-  for (i = 0; i < T * NS; ++i) finite = finite && isfinite(plan.dynamics[i]) && isfinite(plan.state_bounds[i]);
+  for (i = 0; i < T * NS; ++i) finite = finite && isfinite(plan.dynamics[i]);
+  for (i = 0; i < STATES; ++i) finite = finite && isfinite(plan.state_bounds[i]);
   for (i = 0; i < ACTIONS; ++i) finite = finite && isfinite(plan.action_bounds[i]);
   return finite;
 }
@@ -78,7 +78,7 @@ static int finite_plan(void) {
 /* One solve, and perhaps a gradient; counts[status] or, for errors, the last one. */
 static void solve(kpirl_mpc *mpc, int *counts) {
   const int record = below(KPIRL_MPC_RECORDS), trouble = below(12), warm = below(3);
-  kpirl_mpc_input input = {state, context, psi};
+  kpirl_mpc_input input = {.state = state, .context = context, .psi = psi};
   kpirl_mpc_guess guess = kpirl_mpc_resume(&plan);
   kpirl_mpc_status status;
   int expected = KPIRL_MPC_CONVERGED;
@@ -94,7 +94,12 @@ static void solve(kpirl_mpc *mpc, int *counts) {
   if (trouble == 4 && warm) guess.actions = NULL, expected = KPIRL_MPC_ERROR_NULL;
   if (trouble == 5 && warm) plan.states[below(STATES)] = (real)NAN, expected = KPIRL_MPC_ERROR_INPUT;
   if (trouble == 6) input.psi = NULL;
-  if (warm == 2) guess.dynamics = guess.state_bounds = guess.action_bounds = guess.path = NULL;
+  if (trouble == 7 && ND > 0 && kpirl_mpc_follows_schedules()) {
+    vary(kpirl_mpc_exported_schedule, schedule, ND, (real)0.1);
+    input.schedule = schedule;
+    if (below(2)) spoil(schedule, ND), expected = KPIRL_MPC_ERROR_INPUT;
+  }
+  if (warm == 2) guess = (kpirl_mpc_guess){.states = guess.states, .actions = guess.actions}; /* a cold start from there */
   before = plan;
   status = kpirl_mpc_solve(mpc, &input, warm ? &guess : NULL, &plan);
   if (expected < 0) expect(status == (kpirl_mpc_status)expected, "the expected error");
@@ -110,22 +115,23 @@ static void solve(kpirl_mpc *mpc, int *counts) {
   if (status < 0 || !finite_plan()) memset(&plan, 0, sizeof plan);
 }
 
-/* Bounds that fit, and bounds that do not. */
+/* Bounds that fit, and bounds that do not; stage by stage. */
 static void move_bounds(kpirl_mpc *mpc) {
-  kpirl_mpc_bounds bounds = kpirl_mpc_exported_bounds;
+  static real lower[ACTIONS > 0 ? ACTIONS : 1], upper[ACTIONS > 0 ? ACTIONS : 1];
   kpirl_mpc_status status;
-  int i, sane = 1;
-  for (i = 0; i < NU; ++i) {
-    bounds.action_lower[i] *= 1 + uniform() / 10;
-    bounds.action_upper[i] *= 1 + uniform() / 10;
-    sane = sane && bounds.action_lower[i] < bounds.action_upper[i];
-  }
-  if (!sane) return;
-  expect(kpirl_mpc_set_bounds(mpc, NULL, NULL, bounds.action_lower, bounds.action_upper) == KPIRL_MPC_CONVERGED,
-         "bounds that fit are taken");
-  i = below(NU);
-  bounds.action_lower[i] = below(2) ? (real)NAN : bounds.action_upper[i] + 1;
-  status = kpirl_mpc_set_bounds(mpc, NULL, NULL, bounds.action_lower, bounds.action_upper);
+  int t, i, sane = 1;
+  for (t = 0; t < T; ++t)
+    for (i = 0; i < NU; ++i) {
+      const int of_x = t * (NS + NU) + NS + i, place = t * NU + i;
+      lower[place] = kpirl_mpc_exported_lower[of_x] * (1 + uniform() / 10);
+      upper[place] = kpirl_mpc_exported_upper[of_x] * (1 + uniform() / 10);
+      sane = sane && lower[place] < upper[place];
+    }
+  if (!sane || NU == 0) return;
+  expect(kpirl_mpc_set_stage_bounds(mpc, NULL, NULL, lower, upper) == KPIRL_MPC_CONVERGED, "bounds that fit are taken");
+  i = below(ACTIONS);
+  lower[i] = below(2) ? (real)NAN : upper[i] + 1;
+  status = kpirl_mpc_set_stage_bounds(mpc, NULL, NULL, lower, upper);
   expect(status == KPIRL_MPC_ERROR_BOUNDS, "bounds that do not fit are refused");
 }
 

@@ -43,7 +43,7 @@ int main(void) {
   int record, failures = 0;
   if (kpirl_mpc_init(&mpc, &memory, sizeof memory) != KPIRL_MPC_CONVERGED) return 1;
   for (record = 0; record < KPIRL_MPC_RECORDS; ++record) {
-    kpirl_mpc_input input = {kpirl_mpc_record_state[record], kpirl_mpc_record_context[record], NULL};
+    kpirl_mpc_input input = {.state = kpirl_mpc_record_state[record], .context = kpirl_mpc_record_context[record]};
     kpirl_mpc_guess guess;
     if (kpirl_mpc_solve(mpc, &input, NULL, &plan) < 0) return 1;
     failures += !agrees("cold", record, &plan, kpirl_mpc_record_cold[record], kpirl_mpc_record_cold_actions[record]);

@@ -35,7 +35,7 @@ int main(int argc, char **argv) {
   const double disturbance = argc > 2 ? atof(argv[2]) : 1e-3, radius = argc > 3 ? atof(argv[3]) : 0.03;
   double *seconds = (double *)malloc((size_t)steps * sizeof(double)), iterations = 0;
   kpirl_mpc_real state[KPIRL_MPC_N_STATES], goal[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_CONTEXT)];
-  kpirl_mpc_input input = {state, goal, NULL};
+  kpirl_mpc_input input = {.state = state, .context = goal};
   kpirl_mpc_settings settings;
   kpirl_mpc_guess guess;
   static kpirl_mpc_solution plan;
@@ -62,7 +62,7 @@ int main(int argc, char **argv) {
     failed += !kpirl_mpc_ok(plan.status);
     iterations += plan.iterations;
     if (step >= 0) seconds[step] = plan.seconds;
-    if (kpirl_mpc_predict(mpc, state, plan.actions, NULL, state) != KPIRL_MPC_CONVERGED) return 1;
+    if (kpirl_mpc_predict(mpc, &input, plan.actions, state) != KPIRL_MPC_CONVERGED) return 1;
     for (i = 0; i < KPIRL_MPC_N_CONTEXT && i < KPIRL_MPC_N_STATES; ++i)
       state[i] += (kpirl_mpc_real)(disturbance * noise());
   }
