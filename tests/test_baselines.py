@@ -110,6 +110,14 @@ def test_single_level_recovers_the_weights_of_optimal_motions(demonstrated):
     np.testing.assert_allclose(found.psi, TRUTH, rtol=1e-3)
 
 
+def test_single_level_keeps_weights_above_the_least(demonstrated):
+    problem, demos, _ = demonstrated
+    found = single_level(problem, demos, np.full(4, 0.25), Riccati(), least=[0, 0.2, 0, 0])
+    assert found.success
+    np.testing.assert_allclose(found.psi[1], 0.2, atol=1e-6)  # the truth is below
+    np.testing.assert_allclose(found.psi.sum(), 1.0)
+
+
 def test_single_level_reaches_the_loss_of_nested_learning(demonstrated):
     problem, (demo, _), _ = demonstrated
     rng = np.random.default_rng(2)

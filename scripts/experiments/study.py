@@ -172,6 +172,12 @@ def _at_once(case: Case, method: Callable[[OCP, Array], Array]) -> Curve:
     return case.curve(problem, Riccati(), psi[None], time.perf_counter() - started)
 
 
+def _single_level(problem: OCP, train: list[Demonstration], psi0: Array) -> Array:
+    """With at least a hundredth of the effort: without any, motions are stationary that no plan would choose."""
+    least = np.append(np.zeros(len(psi0) - 1), 0.01 * psi0[-1])
+    return single_level(problem, train, psi0, Riccati(), least=least).psi
+
+
 METHODS: Mapping[str, Callable[[Case], Curve]] = {
     "unrolled": _unrolled,
     "to the letter": _to_the_letter,
@@ -180,7 +186,7 @@ METHODS: Mapping[str, Callable[[Case], Curve]] = {
     "apprenticeship": _apprenticeship,
     "inverse KKT": lambda case: _at_once(case, lambda p, _: inverse_kkt(p, case.train, [case.actions])),
     "maximum entropy": lambda case: _at_once(case, lambda p, psi0: max_entropy(p, case.train, [case.actions], psi0)),
-    "single level": lambda case: _at_once(case, lambda p, psi0: single_level(p, case.train, psi0, Riccati()).psi),
+    "single level": lambda case: _at_once(case, lambda p, psi0: _single_level(p, case.train, psi0)),
     "default": _default,
 }
 

@@ -44,9 +44,10 @@ def single_level(
     psi0: ArrayLike,
     solver: Solver,
     guess: Guess = None,
+    least: ArrayLike = 0.0,
     max_iterations: int = 300,
 ) -> SingleLevelResult:
-    """Learn psi >= 0 with the sum of psi0 (n_psi,), by Ipopt, from the plans for psi0.
+    """Learn psi >= least with the sum of psi0 (n_psi,), by Ipopt, from the plans for psi0.
 
     Args:
         problem: without inequalities; equalities are welcome.
@@ -54,6 +55,7 @@ def single_level(
         psi0: (n_psi,).
         solver: plans for psi0 from the guess, where the program starts.
         guess: of these plans.
+        least: a number or (n_psi,). A little effort keeps costs away under which much is stationary and little optimal.
         max_iterations: of Ipopt.
 
     Raises:
@@ -79,7 +81,7 @@ def single_level(
     nlp = {"x": ca.vertcat(*variables), "f": loss / len(demonstrations), "g": ca.vertcat(*constraints)}
     ipopt = ca.nlpsol("single_level", "ipopt", nlp, {"ipopt": _IPOPT | {"max_iter": max_iterations}, **_QUIET})
     lower = np.full(nlp["x"].numel(), -np.inf)
-    lower[: len(start)] = 0.0
+    lower[: len(start)] = np.broadcast_to(np.asarray(least, float), start.shape)
     result = ipopt(x0=np.concatenate(guesses), lbx=lower, ubx=np.inf, lbg=0, ubg=0)
     stats = ipopt.stats()
     learned = np.array(result["x"]).ravel()[: len(start)]
