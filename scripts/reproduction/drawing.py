@@ -41,6 +41,7 @@ def bars(panels: Mapping[str, Mapping[str, Mapping[str, Array]]], ylabel: str) -
             axis.bar(places, means, 0.9 * width, yerr=spreads, color=chosen[name], label=name, capsize=2)
         axis.set_xticks(range(len(groups)), [name.replace(", ", ",\n") for name in groups], rotation=30, ha="right")
         axis.set(title=title, ylabel=ylabel)
+        axis.margins(y=0.3)  # for the legend
         axis.grid(alpha=0.3, axis="y")
         axis.legend()
     return figure
