@@ -12,11 +12,13 @@ import numpy as np
 import torch
 
 from kpirl_ocp import figures
+from kpirl_ocp.errors import TrainingError
 from kpirl_ocp.perception.data.clips import read_recordings, read_videos
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.evaluation import DetectorScores, score
 from kpirl_ocp.perception.detector.track_images import contact_sheet, track_video
 from kpirl_ocp.perception.detector.training import PRESETS, TERMS, Trained, train_detector
+from kpirl_ocp.perception.detector.verdict import faults
 from kpirl_ocp.reporting import output_directory, run, table, write_metrics
 
 
@@ -28,6 +30,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--preset", choices=list(PRESETS), default="default")
     parser.add_argument("--steps", type=int, help="training steps (default: the preset's)")
     parser.add_argument("--seed", type=int, default=0, help="of weights and batches (default: 0)")
+    parser.add_argument("--start", type=Path, help="card of a trained detector to go on from, of the same preset")
+    parser.add_argument("--device", default="auto", help="of torch: auto (a GPU if there is one), cpu, cuda, ...")
     parser.add_argument("--threads", type=int, default=2, help="of torch (default: 2)")
     parser.add_argument("--out", default="out/detector", help="directory to write (default: %(default)s)")
     return parser.parse_args()
@@ -61,10 +65,23 @@ def main() -> None:
     settings = settings if args.steps is None else replace(settings, steps=args.steps)
     clips = [clip.images for clip in read_recordings(args.data)]
     others = read_videos(args.videos)
-    trained = train_detector(clips, settings, args.seed, others=others, checkpoint=out / "checkpoint.safetensors")
-    detector = KeypointDetector(trained.model, settings.size)
+    trained = train_detector(
+        clips,
+        settings,
+        args.seed,
+        others=others,
+        start=KeypointDetector.load(args.start).model if args.start else None,
+        checkpoint=out / "checkpoint.safetensors",
+        device=args.device,
+    )
+    detector, wrong = KeypointDetector(trained.model, settings.size), []
+    try:
+        detector = detector.calibrated(others or clips)
+    except TrainingError as error:
+        wrong = [str(error).rstrip(".")]
 
     tests = {Path(directory).name: read_recordings(directory) for directory in args.test}
+    wrong += faults(detector, [clip.images for held_out in tests.values() for clip in held_out] or [*clips, *others])
     scores = {name: score(detector, held_out) for name, held_out in tests.items()}
     results = {
         "steps": len(trained.curves["total"]),
@@ -77,7 +94,7 @@ def main() -> None:
         "training": {"preset": args.preset, "seed": args.seed, "clips": len(clips), "videos": len(others)},
         "metrics": {name: {"error": float(s.error.mean()), "on_object": s.on_object} for name, s in scores.items()},
     }
-    model = detector.save(out / "detector.json", card)
+    model = detector.save(out / ("rejected.json" if wrong else "detector.json"), card)
     if scores:
         header = ["", "error [px]", "on the bottle", "displacement error [px]", "jitter [px]"]
         print(table(header, score_rows(scores)))
@@ -86,6 +103,8 @@ def main() -> None:
         for name, (images, keypoints) in sheet.items():
             track_video(out / f"tracks_{name}.mp4", images, keypoints, rate=5)
     print(f"curves: {draw_curves(trained, out / 'curves.png')}\nmodel:  {model}")
+    if wrong:
+        raise TrainingError(f"the detector is not good: {'; '.join(wrong)}. It is kept as {model}.")
 
 
 if __name__ == "__main__":

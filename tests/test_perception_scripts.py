@@ -60,8 +60,11 @@ def trained(data):
     detector, dynamics = data / "detector", data / "dynamics"
     tiny = ["--preset", "tiny", "--steps", 3, "--threads", 1]
     clips = ["--data", data / "keypoints", "--videos", data / "hand-wandering", "--test", data / "keypoints"]
-    printed = succeed("train_keypoints.py", *clips, *tiny, "--out", detector)
-    model = ["--detector", detector / "detector.json", "--epochs", 2, "--ahead", 3]
+    result = call("train_keypoints.py", *clips, *tiny, "--out", detector)
+    assert result.returncode == 2
+    assert "the detector is not good" in result.stderr  # after three steps
+    printed = result.stdout
+    model = ["--detector", detector / "rejected.json", "--epochs", 2, "--ahead", 3]
     tracks = ["--data", data / "sines", "--test", data / "sines"]
     return {"detector": printed, "dynamics": succeed("train_dynamics.py", *model, *tracks, "--out", dynamics)}
 
@@ -81,9 +84,10 @@ def test_collected_data_are_read_back(data):
     assert json.loads((data / "sines" / "meta.json").read_text())["settings"]["steps"] == 6
 
 
-def test_training_keypoints_writes_a_detector_its_scores_and_pictures(data, trained):
+def test_training_keypoints_writes_a_detector_its_scores_and_pictures_and_says_that_it_is_not_good(data, trained):
     out = data / "detector"
-    detector = KeypointDetector.load(out / "detector.json")
+    assert not (out / "detector.json").exists()
+    detector = KeypointDetector.load(out / "rejected.json")
     keypoints = detector.detect(read_recordings(data / "keypoints")[0].images)
     assert keypoints.shape == (6, detector.model.head.out_channels, 3)
     found = metrics(out)
@@ -93,21 +97,21 @@ def test_training_keypoints_writes_a_detector_its_scores_and_pictures(data, trai
         assert_is_figure(out / figure)
         assert figure in trained["detector"]
     assert (out / "tracks_keypoints.mp4").stat().st_size > 0
-    assert "detector.json" in trained["detector"]
+    assert "rejected.json" in trained["detector"]
 
 
 def test_training_again_goes_on_where_it_was(data, trained):
     out = data / "detector"
-    before = load_file(out / "detector.safetensors")
+    before = load_file(out / "rejected.safetensors")
     clips = ["--data", data / "keypoints", "--videos", data / "hand-wandering"]
-    succeed("train_keypoints.py", *clips, "--preset", "tiny", "--steps", 3, "--threads", 1, "--out", out)
-    after = load_file(out / "detector.safetensors")
+    call("train_keypoints.py", *clips, "--preset", "tiny", "--steps", 3, "--threads", 1, "--out", out)
+    after = load_file(out / "rejected.safetensors")
     assert all((after[name] == value).all() for name, value in before.items())
 
 
 def test_training_dynamics_writes_a_model_and_its_scores_beside_persistence(data, trained):
     out = data / "dynamics"
-    model, detector = DynamicsModel.load(out / "dynamics.json"), KeypointDetector.load(data / "detector/detector.json")
+    model, detector = DynamicsModel.load(out / "dynamics.json"), KeypointDetector.load(data / "detector/rejected.json")
     assert model.sizes == {
         "keypoints": 2 * detector.model.head.out_channels,
         "joints": 7,

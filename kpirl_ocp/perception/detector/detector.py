@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.model_cards import DETECTOR, read_model, report_mismatch, write_model
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector.autoencoder import KeypointAutoencoder
+from kpirl_ocp.perception.detector.confidence import Confidence, calibrate, without_object
 from kpirl_ocp.perception.detector.keypoints import local_soft_argmax
 from kpirl_ocp.perception.detector.training import resize
 from kpirl_ocp.types import Array
@@ -26,10 +28,12 @@ class KeypointDetector:
     """z = g_key(image): K keypoints (x, y, mu), in image units (see `keypoints`).
 
     model: the autoencoder, of which the encoder is used. size: side of the images it was trained on [pixels].
+    confidence: what makes mu absolute; without it mu is relative to the largest of the K in the image.
     """
 
     model: KeypointAutoencoder
     size: int
+    confidence: Confidence | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> KeypointDetector:
@@ -39,12 +43,23 @@ class KeypointDetector:
             build = card.entries["architecture"]
             model = KeypointAutoencoder(build["size"], build["keypoints"], build["encoder"], build["filters"])
             model.load_state_dict({name: torch.from_numpy(value) for name, value in tensors.left.items()})
-        return cls(model.eval(), build["size"])
+            found = card.entries.get("confidence")
+            confidence = None if found is None else Confidence(np.array(found["centre"]), np.array(found["width"]))
+        return cls(model.eval(), build["size"], confidence)
 
     def save(self, path: str | Path, card: Mapping[str, Any]) -> Path:
         """Write weights and card; `card` needs the "architecture": size, keypoints, encoder, filters."""
         tensors = {name: value.contiguous().numpy() for name, value in self.model.state_dict().items()}
-        return write_model(Path(path), DETECTOR, tensors, card)
+        own = {} if self.confidence is None else {"confidence": self.confidence.as_card()}
+        return write_model(Path(path), DETECTOR, tensors, dict(card) | own)
+
+    def calibrated(self, clips: Sequence[Frames]) -> KeypointDetector:
+        """The detector with an absolute mu, from clips (n, H, W, 3) in which the object is in view and moves about.
+
+        Raises TrainingError if a keypoint scores no higher with the object than without.
+        """
+        seen = [self._peaks(clip) for clip in clips]
+        return replace(self, confidence=calibrate(np.concatenate(seen), self._peaks(without_object(clips))))
 
     def detect(self, images: Frames) -> Array:
         """Detect the keypoints of images, each image by itself.
@@ -70,6 +85,17 @@ class KeypointDetector:
 
     @torch.inference_mode()
     def _detect(self, images: Frames) -> Array:
+        scores = self._scores(images)
+        keypoints = local_soft_argmax(scores)
+        if self.confidence is not None:
+            keypoints[..., 2] = self.confidence.of(scores)
+        return keypoints.double().numpy()
+
+    @torch.inference_mode()
+    def _peaks(self, images: Frames) -> Array:
+        """Largest score (n, K) over the cells."""
+        return self._scores(images).flatten(-2).amax(-1).double().numpy()
+
+    def _scores(self, images: Frames) -> Tensor:
         frames = torch.from_numpy(resize(images, self.size)).permute(0, 3, 1, 2).float() / 255
-        scores = self.model.encode(frames).scores
-        return local_soft_argmax(scores).double().numpy()
+        return self.model.encode(frames).scores

@@ -43,8 +43,9 @@ def local_soft_argmax(scores: Tensor, radius: int = 2) -> Tensor:
     """Keypoints as by `soft_argmax`, with x and y from the cells within `radius` of the peak only."""
     height, width = scores.shape[-2:]
     peak = scores.flatten(-2).argmax(-1)  # (..., K)
-    near_x = (torch.arange(width) - (peak % width)[..., None]).abs() <= radius  # (..., K, w)
-    near_y = (torch.arange(height) - (peak // width)[..., None]).abs() <= radius
+    columns, rows = torch.arange(width, device=peak.device), torch.arange(height, device=peak.device)
+    near_x = (columns - (peak % width)[..., None]).abs() <= radius  # (..., K, w)
+    near_y = (rows - (peak // width)[..., None]).abs() <= radius
     near = near_y[..., :, None] & near_x[..., None, :]
     place = _mean_place(spatial_softmax(scores.masked_fill(~near, -torch.inf)))
     return torch.cat([place, soft_argmax(scores)[..., 2:]], -1)
@@ -52,8 +53,8 @@ def local_soft_argmax(scores: Tensor, radius: int = 2) -> Tensor:
 
 def _mean_place(probability: Tensor) -> Tensor:
     height, width = probability.shape[-2:]
-    x = (probability.sum(-2) * cell_centres(width)).sum(-1)
-    y = (probability.sum(-1) * cell_centres(height)).sum(-1)
+    x = (probability.sum(-2) * cell_centres(width).to(probability)).sum(-1)
+    y = (probability.sum(-1) * cell_centres(height).to(probability)).sum(-1)
     return torch.stack([x, y], -1)
 
 
@@ -61,6 +62,7 @@ def gaussian_maps(keypoints: Tensor, cells: int, width: float = 1.5) -> Tensor:
     """Maps (..., K, cells, cells): mu exp(-d^2 / (2 width^2)), d in cells from the keypoints (..., K, 3)."""
     x, y, mu = keypoints.unbind(-1)
     scale = cells / 2 / width  # from image units to standard deviations
-    along_x = torch.exp(-0.5 * ((cell_centres(cells) - x[..., None]) * scale) ** 2)
-    along_y = torch.exp(-0.5 * ((cell_centres(cells) - y[..., None]) * scale) ** 2)
+    centres = cell_centres(cells).to(x)
+    along_x = torch.exp(-0.5 * ((centres - x[..., None]) * scale) ** 2)
+    along_y = torch.exp(-0.5 * ((centres - y[..., None]) * scale) ** 2)
     return mu[..., None, None] * along_y[..., :, None] * along_x[..., None, :]

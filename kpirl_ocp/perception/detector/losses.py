@@ -104,7 +104,7 @@ def appearance(clips: Tensor, scores: Tensor) -> Tensor:
 
 def shifted(frames: Tensor, offset: Tensor) -> Tensor:
     """Frames (B, 3, S, S) moved by offset (B, 2) in image units, +x to the right, +y down; edges are continued."""
-    identity = torch.eye(2, 3).expand(len(frames), 2, 3).clone()
+    identity = torch.eye(2, 3).to(frames).expand(len(frames), 2, 3).clone()
     identity[:, :, 2] = -offset
     grid = functional.affine_grid(identity, list(frames.shape), align_corners=False)
     return functional.grid_sample(frames, grid, padding_mode="border", align_corners=False)

@@ -98,11 +98,16 @@ def train_detector(
     seed: int = 0,
     *,
     others: Sequence[Frames] = (),
+    start: KeypointAutoencoder | None = None,
     checkpoint: Path | None = None,
+    device: str = "auto",
 ) -> Trained:
     """Train on clips (n, H, W, 3) uint8 RGB of any square size, and on unlabelled `others` if there are any.
 
-    checkpoint: a file written every hundred steps; if it exists, training goes on from there.
+    Args:
+        start: a trained model of the same architecture to begin with; None for random weights.
+        checkpoint: a file written every hundred steps; if it exists, training goes on from there.
+        device: of torch; "auto" for a GPU where there is one. The model comes back to the CPU.
 
     Raises:
         TrainingError: there are no clips, one is shorter than `settings.frames`, or the loss becomes NaN.
@@ -110,9 +115,14 @@ def train_detector(
     """
     torch.manual_seed(seed)
     model = KeypointAutoencoder(settings.size, settings.keypoints, settings.encoder, settings.filters)
+    if start is not None:
+        _begin_with(model, start)
+    place = device_called(device)
+    model.to(place)
     optimiser = torch.optim.Adam(model.parameters(), settings.step_size)
     sources = [_resized(clips, settings)] + ([_resized(others, settings)] if others else [])
-    stored = Checkpoint(checkpoint, {"seed": seed, "data": _digest(sources), **asdict(settings)})
+    began = None if start is None else float(sum(value.double().sum() for value in start.state_dict().values()))
+    stored = Checkpoint(checkpoint, {"seed": seed, "data": _digest(sources), "start": began, **asdict(settings)})
     curves = stored.load(model, optimiser, TERMS)
     with tqdm(total=settings.steps, initial=len(curves["total"]), desc="detector", unit="step") as bar:
         for step in range(len(curves["total"]), settings.steps):
@@ -120,7 +130,7 @@ def train_detector(
                 break
             rng = np.random.default_rng([seed, step])
             _set_step_size(optimiser, settings, step)
-            terms = _step(model, optimiser, _batch(sources, settings, rng), settings.losses, rng)
+            terms = _step(model, optimiser, _batch(sources, settings, rng).to(place), settings.losses, rng)
             for name, value in terms.items():
                 curves[name].append(value)
             if not np.isfinite(terms["total"]):
@@ -129,7 +139,24 @@ def train_detector(
             bar.set_postfix(loss=f"{terms['total']:.3g}")
             if (step + 1) % 100 == 0 or step + 1 == settings.steps:
                 stored.save(model, optimiser, curves)
-    return Trained(model.eval(), {name: np.array(values) for name, values in curves.items()})
+    return Trained(model.cpu().eval(), {name: np.array(values) for name, values in curves.items()})
+
+
+def device_called(name: str) -> torch.device:
+    """A device of torch; "auto" is a GPU where there is one. Raises TrainingError if there is no such device."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        return torch.zeros(1, device=name).device
+    except (RuntimeError, AssertionError) as error:
+        raise TrainingError(f"torch cannot use the device {name!r}: {error}") from error
+
+
+def _begin_with(model: KeypointAutoencoder, start: KeypointAutoencoder) -> None:
+    try:
+        model.load_state_dict(start.state_dict())
+    except RuntimeError as error:
+        raise TrainingError("the detector to begin with has another architecture: choose its preset.") from error
 
 
 def _step(
@@ -149,13 +176,13 @@ def _step(
         "sparsity": losses.sparsity(scores),
         "attention": losses.attention(scores, losses.motion(clips, model.cells)),
         "appearance": losses.appearance(clips, scores),
-        "equivariance": torch.zeros(()),
+        "equivariance": torch.zeros((), device=clips.device),
     }
     if weights.equivariance:
         half = clips.shape[1] // 2
         frames = clips[:, :half].flatten(0, 1)
-        offset = torch.from_numpy(
-            rng.uniform(-1 / 3, 1 / 3, (len(frames), 2)).astype(np.float32)
+        offset = torch.from_numpy(rng.uniform(-1 / 3, 1 / 3, (len(frames), 2)).astype(np.float32)).to(
+            frames
         )  # a sixth of the side
         moved = model.encode(losses.shifted(frames, offset)).keypoints
         terms["equivariance"] = losses.equivariance(moved, keypoints[:, :half].flatten(0, 1), offset)
