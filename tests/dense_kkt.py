@@ -41,6 +41,7 @@ def derivative(problem, solution):
         return by_w[:, ~fixed], np.hstack([by_psi, by_w[:, start] * fixed[start], by_context])
 
     (H, H_p), (A, A_p), (G, G_p) = (split(*blocks[i : i + 3]) for i in (0, 3, 6))
+    A, A_p = A[program.live[0]], A_p[program.live[0]]
     H, H_p = H[~fixed], H_p[~fixed]
     rows = Inequalities.at(BoundRows.of(*limits(problem)), w, g.ravel())
     forces = rows.forces(nu, mu, solution.barrier)
@@ -55,3 +56,8 @@ def derivative(problem, solution):
     m = len(A) + len(C)
     K = np.block([[H, A.T, C.T], [np.vstack([A, C]), np.zeros((m, m))]])
     return -np.linalg.solve(K, np.vstack([H_p, A_p, C_p]))[: len(H)]
+
+
+def unknowns(problem, states, actions):
+    """(free s_0, s_1 .. s_T, u_0 .. u_{T-1}) of a trajectory or slopes, in the order of the rows of `derivative`."""
+    return np.concatenate([states[0][problem.free_start], states[1:].ravel(), actions.ravel()])

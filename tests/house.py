@@ -30,9 +30,10 @@ HEAVY = {"torch", "pybullet", "pybullet_data", "cv2"}
 ORDER = {
     "ocp": [
         ("problem",),
-        ("models", "linear", "codegen"),
+        ("models", "codegen"),
         ("conditions",),
-        ("interior_point", "sensitivity"),
+        ("interior_point",),
+        ("sensitivity",),
         ("solvers",),
         ("export",),
     ],

@@ -108,8 +108,8 @@ POINTS = {
     ),
     "nan_cost": Point(one_step(lambda u, p: ridge(u, p) - ca.log(u - 0.2), bounds=(-1, 1)), 0.5),
     "edge": Point(
-        one_step(lambda u, p: ca.sqrt(u) * u + ridge(u, p)), 3e-7 + 0.75 * np.sqrt(3e-7), (3e-7,)
-    ),  # u = 3e-7
+        one_step(lambda u, p: ca.sqrt(u - 1) * (u - 1) + ridge(u, p)), 1 + 3e-7 + 0.75 * np.sqrt(3e-7), (1 + 3e-7,)
+    ),  # u = 1 + 3e-7
     "nan_slope": Point(one_step(lambda u, p: ca.norm_2(u) + ca.sumsqr(u - p), n=2, bounds=(-1, 1)), 0.5),
 }
 NEEDS_MORE = "did not converge"

@@ -70,38 +70,38 @@ def test_docstrings_of_scripts_begin_with_a_noun_or_a_verb():
 
 
 ROOM = '"""A room."""\n__all__ = []'
-ROOMS = ("ocp/problem", "ocp/linear", "ocp/models", "ocp/solvers", "irl/learning", "perception/detector")
+ROOMS = ("ocp/problem", "ocp/codegen", "ocp/models", "ocp/solvers", "irl/learning", "perception/detector")
 PACKAGE = {
-    **{f"{name}.py": "" for name in ("__init__", "errors", "types", "episodes", "ocp/linear/kkt")},
+    **{f"{name}.py": "" for name in ("__init__", "errors", "types", "episodes", "ocp/codegen/kkt")},
     **{f"{room}/__init__.py": ROOM for room in ("ocp", "irl", "bridges", "perception", *ROOMS)},
 }
 ALLOWED = {
-    "__init__.py": "from kpirl_ocp.irl.learning.learn import learn\nfrom .ocp.linear import kkt",
+    "__init__.py": "from kpirl_ocp.irl.learning.learn import learn\nfrom .ocp.codegen import kkt",
     "types.py": "from kpirl_ocp.errors import ProblemError\nfrom . import errors\nimport numpy as np",
     "episodes.py": "from kpirl_ocp import types, errors\nimport kpirl_ocp.types",
-    "ocp/linear/kkt.py": "from kpirl_ocp.ocp.problem.ocp import OCP\nfrom ...types import Array\nfrom . import sweeps",
-    "ocp/linear/sweeps.py": "def f():\n    import onnx",
+    "ocp/codegen/kkt.py": "from kpirl_ocp.ocp.problem.ocp import OCP\nfrom ...types import Array\nfrom . import sweeps",
+    "ocp/codegen/sweeps.py": "def f():\n    import onnx",
     "ocp/problem/ocp.py": "import importlib.util\nspec = importlib.util.find_spec('pybullet_data')",
-    "ocp/solvers/ipopt.py": "from kpirl_ocp.ocp.linear.kkt import x\nfrom kpirl_ocp.ocp import problem",
-    "irl/learning/learn.py": "from kpirl_ocp.ocp.linear import kkt\nfrom . import loss\nfrom kpirl_ocp import episodes",
+    "ocp/solvers/ipopt.py": "from kpirl_ocp.ocp.codegen.kkt import x\nfrom kpirl_ocp.ocp import problem",
+    "irl/learning/learn.py": "from kpirl_ocp.ocp.codegen import kkt\nfrom . import loss\nimport kpirl_ocp.episodes",
     "bridges/torch_layer.py": "import torch\nfrom kpirl_ocp.irl.learning.learn import learn\nfrom . import networks",
     "perception/detector/nets.py": "import torch, cv2\nfrom kpirl_ocp.episodes import E\nfrom . import camera",
 }
-KKT, LEARN, NETS = "ocp/linear/kkt.py", "irl/learning/learn.py", "perception/detector/nets.py"
+KKT, LEARN, NETS = "ocp/codegen/kkt.py", "irl/learning/learn.py", "perception/detector/nets.py"
 FORBIDDEN = {  # file, its source, what is reported
     "errors import types": ("errors.py", "from kpirl_ocp.types import Array", "errors -> types.Array"),
     "errors import the package": ("errors.py", "import kpirl_ocp", "errors -> kpirl_ocp"),
-    "types import ocp": ("types.py", "import kpirl_ocp.ocp.linear", "types -> ocp.linear"),
+    "types import ocp": ("types.py", "import kpirl_ocp.ocp.codegen", "types -> ocp.codegen"),
     "types import another base module": ("types.py", "from . import episodes", "types -> episodes"),
     "base imports irl, relatively": ("episodes.py", "from .irl import loss", "episodes -> irl.loss"),
     "base imports perception": ("episodes.py", "from kpirl_ocp import perception", "episodes -> perception"),
     "base imports torch": ("episodes.py", "if TYPE_CHECKING:\n    import torch", "episodes -> torch"),
-    "ocp imports irl": (KKT, "from kpirl_ocp.irl import loss", "ocp.linear.kkt -> irl.loss"),
-    "ocp imports irl, three levels up": (KKT, "from ...irl.loss import loss", "ocp.linear.kkt -> irl.loss.loss"),
+    "ocp imports irl": (KKT, "from kpirl_ocp.irl import loss", "ocp.codegen.kkt -> irl.loss"),
+    "ocp imports irl, three levels up": (KKT, "from ...irl.loss import loss", "ocp.codegen.kkt -> irl.loss.loss"),
     "ocp package imports perception": ("ocp/__init__.py", f"{ROOM}\nfrom .. import perception", "ocp -> perception"),
-    "ocp imports public names": (KKT, "from kpirl_ocp import OCP", "ocp.linear.kkt -> OCP"),
-    "ocp imports torch in a function": (KKT, "def f():\n    import torch.nn", "ocp.linear.kkt -> torch.nn"),
-    "ocp imports cv2 by name": (KKT, "importlib.import_module('cv2')", "ocp.linear.kkt -> cv2"),
+    "ocp imports public names": (KKT, "from kpirl_ocp import OCP", "ocp.codegen.kkt -> OCP"),
+    "ocp imports torch in a function": (KKT, "def f():\n    import torch.nn", "ocp.codegen.kkt -> torch.nn"),
+    "ocp imports cv2 by name": (KKT, "importlib.import_module('cv2')", "ocp.codegen.kkt -> cv2"),
     "irl imports pybullet": (LEARN, "try:\n    import pybullet\nexcept E: ...", "irl.learning.learn -> pybullet"),
     "irl imports pybullet_data": (LEARN, "__import__('pybullet_data')", "irl.learning.learn -> pybullet_data"),
     "irl imports perception": (LEARN, "import kpirl_ocp.perception.x", "irl.learning.learn -> perception.x"),
@@ -114,25 +114,25 @@ FORBIDDEN = {  # file, its source, what is reported
     "a room imports a later one": (
         KKT,
         "if TYPE_CHECKING:\n    from kpirl_ocp.ocp.solvers.fatrop import x",
-        "ocp.linear.kkt -> ocp.solvers",
+        "ocp.codegen.kkt -> ocp.solvers",
     ),
-    "a room imports its neighbour": (KKT, "from kpirl_ocp.ocp.models.mlp import MLP", "ocp.linear.kkt -> ocp.models"),
+    "a room imports its neighbour": (KKT, "from kpirl_ocp.ocp.models.mlp import MLP", "ocp.codegen.kkt -> ocp.models"),
     "own module in a function": (
         "ocp/solvers/ipopt.py",
-        "def f():\n    from kpirl_ocp.ocp.linear import kkt",
-        "ocp.solvers.ipopt imports ocp.linear.kkt inside a function",
+        "def f():\n    from kpirl_ocp.ocp.codegen import kkt",
+        "ocp.solvers.ipopt imports ocp.codegen.kkt inside a function",
     ),
     "private names": (
         "ocp/solvers/ipopt.py",
-        "from kpirl_ocp.ocp.linear.kkt import _x",
-        "ocp.solvers.ipopt imports the private ocp.linear.kkt._x",
+        "from kpirl_ocp.ocp.codegen.kkt import _x",
+        "ocp.solvers.ipopt imports the private ocp.codegen.kkt._x",
     ),
     "a circle": (
-        "ocp/linear/sweeps.py",
-        "from kpirl_ocp.ocp.linear import kkt",
-        "circle of modules: ocp.linear.kkt, ocp.linear.sweeps",
+        "ocp/codegen/sweeps.py",
+        "from kpirl_ocp.ocp.codegen import kkt",
+        "circle of modules: ocp.codegen.kkt, ocp.codegen.sweeps",
     ),
-    "a long file": (KKT, "\n" * 301, "ocp/linear/kkt.py has more than 300 lines"),
+    "a long file": (KKT, "\n" * 301, "ocp/codegen/kkt.py has more than 300 lines"),
     "a file outside the rooms": ("irl/study.py", "", "irl/study.py is in no room"),
     "a room without a sentence": (
         "ocp/solvers/__init__.py",
@@ -147,7 +147,7 @@ FORBIDDEN = {  # file, its source, what is reported
     "a docstring without a noun": (
         KKT,
         'def f():\n    """What f gives."""',
-        "ocp/linear/kkt.py: the docstring of f begins with What, How or See",
+        "ocp/codegen/kkt.py: the docstring of f begins with What, How or See",
     ),
     "a room without a place": ("irl/attic/__init__.py", ROOM, "irl/attic has no place in the order of rooms"),
 }
@@ -166,7 +166,7 @@ def test_the_checker_reports(case):
 
 
 def test_the_checker_reports_a_circle_of_rooms():
-    upward = {"ocp/problem/ocp.py": "from kpirl_ocp.ocp.linear import kkt"}
+    upward = {"ocp/problem/ocp.py": "from kpirl_ocp.ocp.codegen import kkt"}
     faults = House(PACKAGE | ALLOWED | upward).faults()
     assert any(fault.startswith("circle of rooms") for fault in faults)
 

@@ -6,13 +6,14 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 import pytest
-from dense_kkt import derivative
+import statements
+from dense_kkt import derivative, unknowns
 from problems import TABLE, ScalarLQR, lqr, quadratic, response
 
 from kpirl_ocp import OCP, Implicit, Ipopt, Riccati, Status, sensitivity
 from kpirl_ocp.errors import CertificateError, ProblemError
 from kpirl_ocp.irl.hypergradients.implicit import differentiate
-from kpirl_ocp.ocp.conditions.nlp import pack
+from kpirl_ocp.ocp.problem.layout import pack
 
 ROWS = [*((name, 0.0) for name in TABLE), ("integrator", 1e-3), ("tanh network", 1e-4)]
 
@@ -70,7 +71,9 @@ def test_both_products_are_those_of_the_dense_kkt_matrix(name, barrier):
     np.testing.assert_allclose(gradients, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
     pushed = at.push(**moves)
     expected = dense @ np.concatenate(list(moves.values()))
-    np.testing.assert_allclose(pack(pushed), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        unknowns(case.problem, pushed.states, pushed.actions), expected, rtol=0, atol=1e-8 * np.abs(expected).max()
+    )
     np.testing.assert_array_equal(pushed.states[0], moves["s0"])
     assert pulled.certificate.certified
     assert pushed.certificate.certified
@@ -124,6 +127,59 @@ def test_the_implicit_gradient_is_the_pull_of_the_slope_of_its_loss(name):
     np.testing.assert_allclose(
         Implicit(Riccati(tolerance=1e-11))(problem, seen, case.psi).gradient, found.psi, rtol=1e-8
     )
+
+
+STATED = [name for name in statements.CASES if name != "free final time"]  # of which more is active than is free
+
+
+@lru_cache
+def stated(name):
+    case = statements.CASES[name]()
+    return case.problem, case.arguments, Ipopt(tolerance=1e-11).solve(case.problem, *case.arguments).raise_if_failed()
+
+
+@pytest.mark.parametrize("name", STATED)
+def test_every_statement_has_both_products_of_the_dense_kkt_matrix_and_their_certificates(name):
+    problem, _, solution = stated(name)
+    dense, at = derivative(problem, solution), sensitivity(problem, solution)
+    (by_states, by_actions), free, rng = slopes(solution), problem.free_start, np.random.default_rng(2)
+    expected = unknowns(problem, by_states, by_actions) @ dense
+    pulled = at.pull(by_states, by_actions)
+    found = np.concatenate([pulled.psi, np.where(free, 0, pulled.s0 - by_states[0]), pulled.context])
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max(initial=0.0))
+    assert not pulled.s0[free].any()
+    sizes = problem.n_parameters, problem.n_states, problem.n_context
+    moves = [rng.normal(size=size) for size in sizes]
+    moves[1][free] = 0.0
+    pushed = at.push(*moves)
+    expected = dense @ np.concatenate(moves)
+    found = unknowns(problem, pushed.states, pushed.actions)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max(initial=0.0))
+    assert pulled.certificate.certified
+    assert pushed.certificate.certified
+
+
+@pytest.mark.parametrize("name", ["terminal equality", "path equality", "bounds of parameters", "partly free start"])
+def test_the_tangent_of_a_statement_equals_differences_of_its_solutions(name):
+    problem, (s0, *numbers), solution = stated(name)
+    direction = np.where(problem.free_start, 0.0, np.random.default_rng(4).normal(size=problem.n_states))
+    found = pack(sensitivity(problem, solution).push(s0=direction))
+    errors = []
+    for h in (1e-3, 1e-4, 1e-5):
+        ends = [
+            Ipopt(tolerance=1e-12).solve(problem, s0 + k * h * direction, *numbers, guess=solution) for k in (1, -1)
+        ]
+        slope = (pack(ends[0].trajectory) - pack(ends[1].trajectory)) / (2 * h)
+        errors.append(np.abs(slope - found).max() / np.abs(slope).max())
+    assert min(errors) < 1e-6
+
+
+def test_more_active_constraints_than_decisions_are_refused():
+    """Minimum time from rest to rest: every action is at its bound, and two equalities hold besides."""
+    case = statements.CASES["free final time"]()
+    solution = Riccati().solve(case.problem, *case.arguments).raise_if_failed()
+    with pytest.raises(CertificateError, match="depend on each other"):
+        sensitivity(case.problem, solution).push(s0=np.ones(case.problem.n_states))
 
 
 def test_a_direction_of_length_zero_changes_nothing_and_is_certified():

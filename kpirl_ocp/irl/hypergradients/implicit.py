@@ -17,22 +17,26 @@ from functools import lru_cache
 from typing import Literal
 
 import casadi as ca
+import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import (
+    LOSS_KINK,
     HypergradientResult,
     enforce,
     nonfinite_failures,
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
 from kpirl_ocp.ocp.codegen.numpy_calls import call
+from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
-from kpirl_ocp.ocp.sensitivity.certificate import check_policy
+from kpirl_ocp.ocp.sensitivity.certificate import KINK, check_policy
+from kpirl_ocp.ocp.sensitivity.nearby_tests import kink_of_loss
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 from kpirl_ocp.ocp.solvers.riccati import Riccati
-from kpirl_ocp.types import Demonstration, Solution
+from kpirl_ocp.types import Array, Demonstration, Solution
 
 
 @dataclass(frozen=True)
@@ -81,12 +85,24 @@ def differentiate(
 
     derivatives: at the solution, where the solver ended with them.
     """
-    evaluate = call(problem, _loss_and_slopes(loss))
-    data = data_of(loss, problem, demonstration)
-    (value,), by_states, by_actions = evaluate(solution.states, solution.actions, data.T)
+    evaluate, data = call(problem, _loss_and_slopes(loss)), data_of(loss, problem, demonstration).T
     at = sensitivity(problem, solution, "flag", derivatives)
-    found = at.pull(by_states.reshape(solution.states.shape), by_actions.reshape(solution.actions.shape))
+
+    def evaluated(x: Array) -> Array:
+        states, actions = split(x, problem.horizon, problem.n_states, problem.n_actions)
+        value, by_states, by_actions = evaluate(states, actions, data)
+        slopes = by_stage(by_states.reshape(states.shape), by_actions.reshape(actions.shape))
+        return np.concatenate([value, slopes])
+
+    point = by_stage(solution.states, solution.actions)
+    value, *slopes = evaluated(point)
+    found = at.pull(*split(np.array(slopes), problem.horizon, problem.n_states, problem.n_actions))
     failures = (*nonfinite_failures(float(value), found.psi), *found.certificate.failures)
+    moving = np.append(
+        problem.free_start, np.ones(len(point) - problem.n_states, bool)
+    )  # psi does not move a given s_0
+    if np.isfinite(value) and kink_of_loss(evaluated, point, at.sizes * moving) > KINK:
+        failures = (*failures, LOSS_KINK)
     return HypergradientResult(float(value), found.psi, replace(found.certificate, failures=failures))
 
 

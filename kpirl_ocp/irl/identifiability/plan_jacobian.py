@@ -19,6 +19,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 from kpirl_ocp.irl.hypergradients.implicit import Implicit
 from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
+from kpirl_ocp.ocp.problem.layout import split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
 from kpirl_ocp.types import Array, Demonstration, Trajectory
@@ -64,9 +65,10 @@ def _converged(problem: OCP, demonstration: Demonstration, psi: ArrayLike, metho
     certificate = method(problem, demonstration, psi).certificate
     solution = certificate.solution
     function, fixed = ImplicitFunction.at(problem, solution), (np.zeros(problem.n_states), np.zeros(problem.n_context))
-    pushed = [function.push(ByParameters(direction, *fixed))[0] for direction in np.eye(problem.n_parameters)]
+    pushed = [function.push(ByParameters(direction, *fixed))[0].x for direction in np.eye(problem.n_parameters)]
+    changes = [split(x, problem.horizon, problem.n_states, problem.n_actions)[0] for x in pushed]
     slopes = observation_jacobians(problem, solution.states)  # (T, n_z, n_s)
-    columns = [np.einsum("tzs,ts->tz", slopes, change.states[1:]).ravel() for change in pushed]
+    columns = [np.einsum("tzs,ts->tz", slopes, change[1:]).ravel() for change in changes]
     jacobian = np.reshape(columns, (problem.n_parameters, -1)).T
     return PlanJacobian(solution.trajectory, observed(problem, solution.states), jacobian, certificate.certified)
 

@@ -1,113 +1,152 @@
 """Derivatives of the KKT conditions by psi and the context: mixed second derivatives, stage by stage.
 
-With the Lagrangian L_t(x_t; p) = l + lambda . f + mu . h of a stage and p = (psi, c), `pull` gives
+With the Lagrangian L_t = l + lambda . f + z . h + nu . e of a stage, that of the end L_T = l_T + z . g_T + nu . e_T,
+and p = (psi, c),
 
-    d/dp sum_t  dx_t . grad_x L_t + dlambda_t . f + dmu_t . h      (and dx_T . grad l_T at the end),
+    phi(p) = sum_t  dx_t . grad_x L_t + dlambda_t . f + dz_t . h + dnu_t . e
 
-and `push` the changes of grad_x L_t, f and h along dp. All are taken at S, U, psi, c, Lambda, M
-as in `stage_derivatives.first`.
+is how (dx, dlambda, dz, dnu) weigh the conditions. `pull` gives its gradient by p, and `push` the changes of grad L, f,
+h and e along dp. Vectors over all stages are x = (s_0, u_0, s_1, .., s_T); costates (T n_s,); multipliers of h and g_T;
+those of e and e_T.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.conditions.stage_derivatives import Symbol, pairing, pairing_gradient, stage_arguments, symbols
 from kpirl_ocp.ocp.problem.ocp import OCP
+
+Symbol: TypeAlias = "ca.SX | ca.MX"
 
 
 @lru_cache(maxsize=64)
 def pull(problem: OCP) -> ca.Function:
-    """(S, U, psi, c, Lambda, M, dX (n_x, T), ds_T (n_s,), dLambda (n_s, T), dM (n_h, T)) -> by psi, by c."""
-    steps, n_s = problem.horizon, problem.n_states
-    at, stage, end = _symbols(problem)
-    dX, last = ca.MX.sym("dX", n_s + problem.n_actions, steps), ca.MX.sym("ds_T", n_s)
-    dcostates, dforces = ca.MX.sym("dLambda", n_s, steps), ca.MX.sym("dM", problem.n_path, steps)
-    changes = {"cost": ca.DM.zeros(1, steps), "path": dforces, "dynamics": dcostates}
-    by_psi, by_context = _pull(_terminal(problem))(*end, 1, last, 0)
-    for name, function, weights in _terms(problem, *at[4:]):
-        shares = _pull(function).map(steps)(*stage, weights, dX, changes[name])
-        by_psi, by_context = by_psi + ca.sum2(shares[0]), by_context + ca.sum2(shares[1])
-    outputs = [ca.densify(x) for x in (by_psi, by_context)]
-    return ca.Function("pull", [*at, dX, last, dcostates, dforces], outputs)
+    """(x, psi, c, lambda, z, nu, dx, dlambda, dz, dnu) -> d phi/d psi, d phi/d c."""
+    at, changes = _symbols(problem), _symbols(problem)
+    x, psi, c, *duals = at
+    dx, _, _, *dduals = changes
+    stages, ends = (_split(problem, [x, *duals]), _split(problem, [dx, *dduals]))
+    by_psi, by_c = ca.MX.zeros(problem.n_parameters), ca.MX.zeros(problem.n_context)
+    for function, last in _functions(problem):
+        weights, tangents = stages[last], ends[last]
+        steps, d = _repeat(problem, last)
+        shares = _pull(problem, function, last).map(steps)(
+            weights[0], *(ca.repmat(p, 1, steps) for p in (psi, c)), d, *weights[1:], *tangents
+        )
+        by_psi, by_c = by_psi + ca.sum2(shares[0]), by_c + ca.sum2(shares[1])
+    inputs = [x, psi, c, *duals, dx, *dduals]
+    return ca.Function("pull", inputs, [ca.densify(y) for y in (by_psi, by_c)])
 
 
 @lru_cache(maxsize=64)
 def push(problem: OCP) -> ca.Function:
-    """(S, U, psi, c, Lambda, M, dpsi, dc) -> dr (n_x, T), dr_T (n_s,), ddefects (n_s, T), dh (n_h, T)."""
-    steps, n_s = problem.horizon, problem.n_states
-    at, stage, end = _symbols(problem)
-    directions = [ca.MX.sym("dpsi", problem.n_parameters), ca.MX.sym("dc", problem.n_context)]
-    slopes: ca.MX = ca.MX.zeros(n_s + problem.n_actions, steps)
-    values = {"path": ca.MX(problem.n_path, steps), "dynamics": ca.MX(n_s, steps)}
-    for name, function, weights in _terms(problem, *at[4:]):
-        repeated = [ca.repmat(direction, 1, steps) for direction in directions]
-        slope, values[name] = _push(function).map(steps)(*stage, weights, *repeated)
-        slopes += slope
-    last = _push(_terminal(problem))(*end, 1, *directions)[0]
-    outputs = [ca.densify(x) for x in (slopes, last, values["dynamics"], values["path"])]
-    return ca.Function("push", [*at, *directions], outputs)
+    """(x, psi, c, lambda, z, nu, dpsi, dc) -> changes of grad L (n_w,), f (T n_s,), h and g_T, e and e_T."""
+    x, psi, c, *duals = _symbols(problem)
+    dpsi, dc = ca.MX.sym("dpsi", problem.n_parameters), ca.MX.sym("dc", problem.n_context)
+    weights = _split(problem, [x, *duals])
+    results: list[list[ca.MX]] = []
+    for last in (False, True):
+        steps, d = _repeat(problem, last)
+        n = problem.n_states + (0 if last else problem.n_actions)
+        rows = [part.size1() for part in weights[last][1:]]
+        total = [ca.MX.zeros(size, steps) for size in (n, *rows)]
+        for function, of_end in _functions(problem):
+            if of_end is not last:
+                continue
+            found = _push(problem, function, last).map(steps)(
+                weights[last][0],
+                *(ca.repmat(p, 1, steps) for p in (psi, c)),
+                d,
+                *weights[last][1:],
+                *(ca.repmat(p, 1, steps) for p in (dpsi, dc)),
+            )
+            total = [a + b for a, b in zip(total, found, strict=True)]
+        results.append([ca.vec(part) for part in total])
+    (gradient, f, h, e), (gradient_T, h_T, e_T) = results
+    outputs = [ca.vertcat(gradient, gradient_T), f, ca.vertcat(h, h_T), ca.vertcat(e, e_T)]
+    return ca.Function("push", [x, psi, c, *duals, dpsi, dc], [ca.densify(y) for y in outputs])
 
 
-def _symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX], list[ca.MX]]:
-    """S, U, psi, c, Lambda, M; the arguments (s, u, psi, c, d) of all stages, and those of the end."""
-    states, actions, psi, context, *_ = at = symbols(problem)
-    end = [states[:, -1], ca.MX(0, 1), psi, context, problem.stages[:, -1]]
-    return at, stage_arguments(problem, states, actions, psi, context), end
+def _symbols(problem: OCP) -> list[ca.MX]:
+    """x, psi, c, costates, multipliers of h and g_T, of e and e_T."""
+    T, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
+    sizes = {"x": T * (n_s + n_u) + n_s, "psi": problem.n_parameters, "c": problem.n_context, "lambda": T * n_s}
+    sizes |= {"z": T * problem.n_path + problem.n_terminal}
+    sizes |= {"nu": T * problem.n_path_equality + problem.n_terminal_equality}
+    return [ca.MX.sym(name, size) for name, size in sizes.items()]
 
 
-def _terms(problem: OCP, costates: ca.MX, forces: ca.MX) -> list[tuple[str, ca.Function, ca.MX]]:
-    """The functions of a stage's Lagrangian that parameters can enter, as g(s, u, psi, c, d), with their weights."""
-    terms = [("cost", problem.stage_cost, ca.DM.ones(1, problem.horizon))]
-    if problem.path_constraint is not None:
-        terms.append(("path", problem.path_constraint, forces))
-    if problem.transition.jac_sparsity(0, 2).nnz():
-        terms.append(("dynamics", _dynamics(problem), costates))
-    return terms
+def _split(problem: OCP, parts: list[ca.MX]) -> tuple[list[ca.MX], list[ca.MX]]:
+    """(x, lambda, z, nu) of all stages as columns, and (x, z, nu) of the end."""
+    T, n_x = problem.horizon, problem.n_states + problem.n_actions
+    rows = n_x, problem.n_states, problem.n_path, problem.n_path_equality
+    stages = [ca.reshape(part[: n * T], n, T) for n, part in zip(rows, parts, strict=True)]
+    ends = [part[n * T :] for n, part in zip(rows, parts, strict=True)]
+    return stages, [ends[0], ends[2], ends[3]]
 
 
-def _pull(function: ca.Function) -> ca.Function:
-    """(s, u, psi, c, d, mu, dx, dmu) -> gradient with respect to psi and c of dx . grad_x (mu . g) + dmu . g."""
-    inputs, mu, value = pairing(function)
-    slope, kind = pairing_gradient(inputs, mu, value), type(mu)
-    dx, dmu = kind.sym("dx", slope.numel()), kind.sym("dmu", mu.numel())
-    total = ca.dot(dx, slope) + ca.dot(dmu, value)
-    outputs = [ca.densify(ca.gradient(total, inputs[i])) for i in (2, 3)]
-    return ca.Function("pull", [*inputs, mu, dx, dmu], outputs)
+def _repeat(problem: OCP, last: bool) -> tuple[int, ca.DM]:
+    """The number of stages, and their d."""
+    return (1, problem.stages[:, -1]) if last else (problem.horizon, problem.stages[:, :-1])
 
 
-def _push(function: ca.Function) -> ca.Function:
-    """(s, u, psi, c, d, mu, dpsi, dc) -> change of grad_x (mu . g) and of g."""
-    inputs, mu, value = pairing(function)
-    slope, parameters = pairing_gradient(inputs, mu, value), inputs[2:4]
-    moves = [type(mu).sym("dp", p.numel()) for p in parameters]
-    outputs = [sum(ca.jtimes(y, p, dp) for p, dp in zip(parameters, moves, strict=True)) for y in (slope, value)]
-    return ca.Function("push", [*inputs, mu, *moves], [ca.densify(y) for y in outputs])
+def _functions(problem: OCP) -> list[tuple[str, bool]]:
+    """The names of the functions that psi or the context can enter; True for those of the end."""
+    stage = ("stage_cost", "dynamics", "path_constraint", "path_equality")
+    end = ("terminal_cost", "terminal_inequality", "terminal_equality")
+    found = []
+    for names, last in ((stage, False), (end, True)):
+        for name in names:
+            function, first = getattr(problem, name), 1 if last else 2
+            if function is not None and any(function.jac_sparsity(0, first + i).nnz() for i in range(2)):
+                found.append((name, last))
+    return found
 
 
-def _terminal(problem: OCP) -> ca.Function:
-    """l_T as a function of (s, no u, psi, c, d)."""
-    s, _, psi, c, d = inputs = _inputs(problem, problem.terminal_cost, actions=0)
-    return ca.Function("terminal", inputs, [problem.terminal_cost(s, psi, c, d)])
-
-
-def _dynamics(problem: OCP) -> ca.Function:
-    """f as a function of (s, u, psi, c, d)."""
-    inputs = _inputs(problem, problem.transition, actions=problem.n_actions)
-    return ca.Function("dynamics", inputs, [problem.transition(*inputs[:3])])
-
-
-def _inputs(problem: OCP, function: ca.Function, actions: int) -> list[Symbol]:
-    """Symbols s, u, psi, c, d of the kind that a function works in."""
+def _weighted(problem: OCP, name: str, last: bool) -> tuple[type[Symbol], list[Symbol], Symbol, int]:
+    """Symbols (x, psi, c, d, multipliers ..) of a stage, the value of a function, and which multiplier is its own."""
+    function: ca.Function = getattr(problem, name)
     kind = ca.SX if function.is_a("SXFunction") else ca.MX
-    lengths = (
-        problem.n_states,
-        actions,
-        problem.n_parameters,
-        problem.n_context,
-        np.asarray(problem.schedule).shape[1],
-    )
-    return [kind.sym(name, length) for name, length in zip(("s", "u", "psi", "c", "d"), lengths, strict=True)]
+    n_s, n_u = problem.n_states, problem.n_actions
+    rows = [problem.n_terminal, problem.n_terminal_equality]
+    if not last:
+        rows = [n_s, problem.n_path, problem.n_path_equality]
+    x = kind.sym("x", n_s if last else n_s + n_u)
+    n_d = np.asarray(problem.schedule).shape[1]
+    numbers = [kind.sym(n, size) for n, size in (("psi", problem.n_parameters), ("c", problem.n_context), ("d", n_d))]
+    duals = [kind.sym("multiplier", size) for size in rows]
+    value = function(*([x] if last else [x[:n_s], x[n_s:]]), *numbers)
+    order = ("terminal_inequality", "terminal_equality") if last else ("dynamics", "path_constraint", "path_equality")
+    return kind, [x, *numbers, *duals], ca.densify(value), order.index(name) if name in order else -1
+
+
+def _pull(problem: OCP, name: str, last: bool) -> ca.Function:
+    """(x, psi, c, d, multipliers .., dx, dmultipliers ..) -> gradient by psi and c of its share of phi."""
+    kind, inputs, value, which = _weighted(problem, name, last)
+    x, psi, c, _, *duals = inputs
+    changes = [kind.sym("change", part.numel()) for part in (x, *duals)]
+    weighted = value if which < 0 else ca.dot(duals[which], value)
+    total = ca.dot(changes[0], ca.gradient(weighted, x))
+    if which >= 0:
+        total += ca.dot(changes[1 + which], value)
+    outputs = [ca.densify(ca.gradient(total, p)) for p in (psi, c)]
+    return ca.Function("pull", [*inputs, *changes], outputs)
+
+
+def _push(problem: OCP, name: str, last: bool) -> ca.Function:
+    """(x, psi, c, d, multipliers .., dpsi, dc) -> changes of the gradient by x, and of every kind of row."""
+    kind, inputs, value, which = _weighted(problem, name, last)
+    x, psi, c, _, *duals = inputs
+    moves = [kind.sym("dp", p.numel()) for p in (psi, c)]
+    weighted = value if which < 0 else ca.dot(duals[which], value)
+
+    def along(y: Symbol) -> Symbol:
+        return ca.densify(sum(ca.jtimes(y, p, dp) for p, dp in zip((psi, c), moves, strict=True)))
+
+    rows = [along(value) if i == which else kind.zeros(part.numel()) for i, part in enumerate(duals)]
+    outputs = [along(ca.gradient(weighted, x)), *rows]
+    return ca.Function("push", [*inputs, *moves], [ca.densify(y) for y in outputs])

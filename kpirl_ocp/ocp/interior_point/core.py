@@ -6,7 +6,7 @@ import ctypes
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
@@ -20,8 +20,9 @@ from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachi
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
+from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, check_guess
+from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, StageValues, check_guess
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 _PROBLEMS = 64  # whose memory and functions are kept
@@ -78,16 +79,48 @@ class Core:
         """At the last solution; None if the solve ended without them."""
         if not self._view.matrices:
             return None
+        gradient = np.empty(self._n_w)
+        self._library.kpirl_mpc_core_gradient(self._core, gradient.ctypes.data)
+        return StageDerivatives(**self._values(gradient), **self._matrices())
+
+    def values_at(self, s0: Array, psi: Array, context: Array, point: Sequence[Array]) -> StageValues:
+        """Constraints and gradient at (x, costates, multipliers of h, g_T, of e, e_T); NaN where a function fails."""
+        return StageValues(**self._evaluate(s0, psi, context, point, c.FIRST))
+
+    def derivatives_at(self, s0: Array, psi: Array, context: Array, point: Sequence[Array]) -> StageDerivatives:
+        """`values_at` and second derivatives."""
+        return StageDerivatives(**self._evaluate(s0, psi, context, point, c.SECOND), **self._matrices())
+
+    def _evaluate(self, s0: Array, psi: Array, context: Array, point: Sequence[Array], level: int) -> dict[str, Array]:
+        kept = [np.ascontiguousarray(array, float) for array in (s0, psi, context, *point)]
+        numbers = c.Numbers(*(array.ctypes.data for array in kept[:3]), self._schedule.ctypes.data)
+        x, costates, path, equality = (array.ctypes.data for array in kept[3:])
+        start = c.Start(x, costates, None, path, equality)
+        at = ctypes.addressof(numbers), ctypes.addressof(start)
+        failed = self._library.kpirl_mpc_core_evaluate_at(self._core, *at, level)
+        self._library.kpirl_mpc_core_view(self._core, ctypes.addressof(self._view))
+        self._evaluations += self.problem.horizon
+        values = self._values(c.read(self._view.gradient, self._n_w))
+        return {name: np.full(array.shape, np.nan) for name, array in values.items()} if failed else values
+
+    def _values(self, gradient: Array) -> dict[str, Array]:
+        problem, view, T = self.problem, self._view, self.problem.horizon
+        return {
+            "defects": c.read(view.defects, T * problem.n_states),
+            "path": c.read(view.path, T * problem.n_path + problem.n_terminal),
+            "equality": c.read(view.equality, T * problem.n_path_equality + problem.n_terminal_equality),
+            "gradient": gradient,
+        }
+
+    def _matrices(self) -> dict[str, Array]:
         problem, view = self.problem, self._view
         T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
-        n_G = T * n_x * problem.n_path + n_s * problem.n_terminal
-        n_E = T * n_x * problem.n_path_equality + n_s * problem.n_terminal_equality
-        r, G, E, H = (np.empty(max(size, 1)) for size in (self._n_w, n_G, n_E, T * n_x * n_x + n_s * n_s))
-        self._library.kpirl_mpc_core_derivatives(self._core, *(array.ctypes.data for array in (r, G, E, H)))
-        path = _read(view.path, T * problem.n_path)
-        F, defects = _read(view.F, T * n_s * n_x), _read(view.defects, T * n_s)
-        ends = T * n_x, T * n_x * n_x
-        return [defects, path, r[: ends[0]], r[ends[0] :], F, G[: T * n_x * problem.n_path], H[: ends[1]], H[ends[1] :]]
+        return {
+            "F": c.read(view.F, T * n_s * n_x),
+            "G": c.read(view.G, T * n_x * problem.n_path + n_s * problem.n_terminal),
+            "E": c.read(view.E, T * n_x * problem.n_path_equality + n_s * problem.n_terminal_equality),
+            "H": c.read(view.H, T * n_x * n_x + n_s * n_s),
+        }
 
     def _bounds(self) -> Any:
         lower, upper, free = point_bounds(self.problem)
@@ -152,7 +185,7 @@ class Core:
         return Solution(
             psi=psi,
             context=context,
-            trajectory=Trajectory(*split(_read(view.x, self._n_w), T, n_s, n_u)),
+            trajectory=Trajectory(*split(c.read(view.x, self._n_w), T, n_s, n_u)),
             multipliers=self._multipliers(),
             objective=view.objective,
             residuals=KKTResiduals(r.stationarity, r.feasibility, r.complementarity, 0.0, r.scale),
@@ -174,10 +207,10 @@ class Core:
         self._library.kpirl_mpc_bound_multipliers(self._core, net.ctypes.data)
         state, action = split(net, T, n_s, n_u)
         state[0, ~problem.free_start] = 0
-        path = _read(view.path_multipliers, T * n_h + problem.n_terminal)
-        equality = _read(view.equality_multipliers, T * n_e + problem.n_terminal_equality)
+        path = c.read(view.path_multipliers, T * n_h + problem.n_terminal)
+        equality = c.read(view.equality_multipliers, T * n_e + problem.n_terminal_equality)
         return Multipliers(
-            dynamics=_read(view.costates, T * n_s).reshape(T, n_s),
+            dynamics=c.read(view.costates, T * n_s).reshape(T, n_s),
             state=state,
             action=action,
             path=path[: T * n_h].reshape(T, n_h),
@@ -210,17 +243,6 @@ def point_bounds(problem: OCP) -> tuple[Array, Array, NDArray[np.intc]]:
     return lower, upper, np.flatnonzero(problem.free_start).astype(np.intc)
 
 
-def by_stage(states: Array, actions: Array) -> Array:
-    """(s_0, u_0, s_1, .., u_{T-1}, s_T) of states (T+1, n_s) and actions (T, n_u)."""
-    return np.concatenate([np.hstack([states[:-1], actions]).ravel(), states[-1]])
-
-
-def split(x: Array, steps: int, n_s: int, n_u: int) -> tuple[Array, Array]:
-    """States (T+1, n_s) and actions (T, n_u) of `by_stage`."""
-    rows = x[: steps * (n_s + n_u)].reshape(steps, n_s + n_u)
-    return np.vstack([rows[:, :n_s], x[steps * (n_s + n_u) :]]), rows[:, n_s:].copy()
-
-
 def check_multipliers(problem: OCP, multipliers: Multipliers) -> None:
     """Raise ProblemError when the multipliers of a guess do not fit the problem."""
     steps = problem.horizon
@@ -239,13 +261,6 @@ def check_multipliers(problem: OCP, multipliers: Multipliers) -> None:
             raise ProblemError(
                 f"the guess's multipliers.{name} must be {shape}, got {given}: it is of another problem."
             )
-
-
-def _read(address: int, size: int) -> Array:
-    """A copy of numbers of the C code."""
-    if not size:
-        return np.zeros(0)
-    return np.ctypeslib.as_array((ctypes.c_double * size).from_address(address)).copy()
 
 
 class _Cores:

@@ -7,9 +7,13 @@ import platform
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from kpirl_ocp.errors import CompilerError
+from kpirl_ocp.types import Array
 
 POINTER, INT, REAL = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
+FIRST, SECOND = 1, 2  # levels of derivatives
 
 
 def _structure(name: str, **fields: object) -> type[ctypes.Structure]:
@@ -119,6 +123,19 @@ CompiledFunction = _structure(
     integers=POINTER,
     reals=POINTER,
 )
+Factors = _structure("Factors", **dict.fromkeys(("P", "W", "Y", "pivots", "free_W", "free_pivots"), POINTER))
+System = _structure(
+    "System",
+    **dict.fromkeys(("horizon", "n_states", "n_actions"), INT),
+    **dict.fromkeys(("n_path", "n_equality", "n_terminal", "n_terminal_equality"), INT),
+    **dict.fromkeys(("n_free", "n_bounds", "n_decisions"), INT),
+    **dict.fromkeys(("free", "entries", "decisions", "signs", "F", "G", "E", "H"), POINTER),
+    **dict.fromkeys(("sigma", "active", "sizes", "roots", "lengths", "stiffness"), POINTER),
+    factors=Factors,
+    scratch=POINTER,
+    scale=REAL,
+)
+Triple = _structure("Triple", x=POINTER, costates=POINTER, forces=POINTER, start=POINTER)
 LOG = ctypes.CFUNCTYPE(None, POINTER, ctypes.POINTER(Iteration))
 
 
@@ -142,9 +159,17 @@ def library() -> ctypes.CDLL:
     )
 
 
+def read(address: int, size: int) -> Array:
+    """A copy of numbers of the C code."""
+    if not size:
+        return np.zeros(0)
+    return np.ctypeslib.as_array((ctypes.c_double * size).from_address(address)).copy()
+
+
 def _layout() -> int:
     """The sizes of all structures that cross over."""
-    kinds = (Dimensions, Model, Bounds, Numbers, Options, Start, View, Residuals, Iteration, Buffered, CompiledFunction)
+    crossing = (Dimensions, Model, Bounds, Numbers, Options, Start, View, Residuals, Iteration)
+    kinds = (*crossing, Buffered, CompiledFunction, System, Triple)
     return sum((i + 1) * ctypes.sizeof(kind) for i, kind in enumerate(kinds))
 
 
@@ -179,6 +204,18 @@ def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER]
     core.kpirl_mpc_core_solve.argtypes = [POINTER] * 5
     core.kpirl_mpc_core_set_model.argtypes = [POINTER] * 2
-    core.kpirl_mpc_core_derivatives.argtypes = [POINTER] * 5
+    core.kpirl_mpc_core_evaluate_at.argtypes = [POINTER, POINTER, POINTER, INT]
+    core.kpirl_mpc_core_gradient.argtypes = [POINTER] * 2
+    core.kpirl_mpc_system_factor.argtypes = core.kpirl_mpc_system_curvature.argtypes = [POINTER] * 2
+    core.kpirl_mpc_system_balance.argtypes = core.kpirl_mpc_rows_times.argtypes = [POINTER] * 3
+    core.kpirl_mpc_rows_push.argtypes = [POINTER] * 3
+    core.kpirl_mpc_row_sizes.argtypes, core.kpirl_mpc_force_shares.argtypes = [POINTER] * 2, [POINTER] * 4
+    core.kpirl_mpc_system_scratch.argtypes = [POINTER]
+    core.kpirl_mpc_system_solve.argtypes = [POINTER, POINTER, REAL, INT, POINTER]
+    core.kpirl_mpc_system_change.argtypes = [POINTER] * 4
+    core.kpirl_mpc_system_softest.argtypes = [POINTER, INT, POINTER, POINTER]
+    core.kpirl_mpc_system_qualification.argtypes = core.kpirl_mpc_decision_norm.argtypes = [POINTER, POINTER]
+    for name in ("system_solve", "system_change", "system_softest", "system_qualification", "decision_norm"):
+        getattr(core, f"kpirl_mpc_{name}").restype = REAL
     core.kpirl_mpc_core_view.argtypes = core.kpirl_mpc_bound_multipliers.argtypes = [POINTER] * 2
     return core

@@ -5,6 +5,8 @@
     mu     = (path, terminal)                                  of the inequalities, each row <= 0
     nu     = (state, action)                                   of the bounds on w, in the order of w
 
+Functions of stages take the unknowns in the order of time, x = (s_0, u_0, s_1, .., u_{T-1}, s_T), see `by_stage`.
+
 s_0 is part of w whether it is given or not: a given entry has both bounds at its value.
 """
 
@@ -95,6 +97,17 @@ def live_inequalities(problem: OCP) -> Mask:
 def lengths(problem: OCP) -> tuple[int, int, int]:
     """n_w, n_eq and n_ineq."""
     return len(given(problem)), len(live_equalities(problem)), len(live_inequalities(problem))
+
+
+def by_stage(states: Array, actions: Array) -> Array:
+    """(s_0, u_0, s_1, .., u_{T-1}, s_T) of states (T+1, n_s) and actions (T, n_u)."""
+    return np.concatenate([np.hstack([states[:-1], actions]).ravel(), states[-1]])
+
+
+def split(x: Array, steps: int, n_s: int, n_u: int) -> tuple[Array, Array]:
+    """States (T+1, n_s) and actions (T, n_u) of `by_stage`."""
+    rows = x[: steps * (n_s + n_u)].reshape(steps, n_s + n_u)
+    return np.vstack([rows[:, :n_s], x[steps * (n_s + n_u) :]]), rows[:, n_s:].copy()
 
 
 def _spread(values: Array, live: Mask) -> Array:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol, TypeAlias, runtime_checkable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,8 +15,33 @@ from kpirl_ocp.types import Array, Solution, Trajectory
 
 Guess = Solution | Trajectory | None
 
-StageDerivatives: TypeAlias = Sequence[Array]
-"""defects, h, r, r_T, F, G, H and H_T of `conditions.stage_derivatives.second` at a solution, flat."""
+
+@dataclass(frozen=True, eq=False)
+class StageValues:
+    """The constraints and the gradient of the Lagrangian without bounds at a point, flat, in the order of time.
+
+    defects: f - s_next (T n_s,). path: h at all stages, then g_T. equality: e at all stages, then e_T.
+    gradient: by x = (s_0, u_0, s_1, .., s_T), given entries of s_0 included.
+    """
+
+    defects: Array
+    path: Array
+    equality: Array
+    gradient: Array
+
+
+@dataclass(frozen=True, eq=False)
+class StageDerivatives(StageValues):
+    """And their derivatives, by columns, one stage after the other.
+
+    F: Jacobians of f (n_s, n_x). G, E: transposed ones of h and e (n_x, n_h), (n_x, n_e), those of g_T and e_T behind.
+    H: the second derivative of the Lagrangian (n_x, n_x), at the end (n_s, n_s); the lower triangle.
+    """
+
+    F: Array
+    G: Array
+    E: Array
+    H: Array
 
 
 class Solver(Protocol):

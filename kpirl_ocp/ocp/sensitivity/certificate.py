@@ -22,11 +22,12 @@ Policy = Literal["raise", "flag"]
 KKT_RESIDUAL = 1e-6
 CURVATURE = 1e-8
 QUALIFICATION = 1e-5
-STEP = 1e-5
-MARGIN = 1e-7
+STEP = 1e-4
+MARGIN = 1e-6
 CHANGE = 1e-4
 KINK = 1e-3
 LINEAR_RESIDUAL = 1e-8
+_SOLVED = (Status.CONVERGED, Status.ACCEPTABLE)  # the KKT residual has a bound of its own
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,19 +64,20 @@ class SensitivityCertificate(Certificate):
     """Evidence for a derivative of the solution by the implicit function theorem.
 
     kkt_residual: of the solution, relative (`KKTResiduals.worst`).
-    curvature: smallest eigenvalue of the reduced Hessian, relative to the largest curvature that one action has within
-        its own and the next stage (`KKTSystem.local_curvature`); the second-order condition asks it to be positive. Its
-        sign is exact, its size an estimate from above. Infinite when the active constraints leave no freedom.
-    qualification: smallest singular value of the normalised active Jacobian (LICQ); infinite when nothing is active.
+    curvature: smallest eigenvalue of the reduced Hessian, each decision in units of its own curvature within its own
+        and the next stage (`KKTSystem.roots`); the second-order condition asks it to be positive. Its sign is exact,
+        its size an estimate from above. Infinite when the active constraints leave no freedom.
+    qualification: smallest singular value of the active Jacobian with rows of length one (LICQ); infinite when nothing
+        is active.
     step: length of a Newton step on the KKT conditions with this active set, relative: the error of the solution.
-    margin: smallest multiplier of an active and slack of an inactive row after that step (strict complementarity);
-        infinite without inequalities.
+    margin: smallest multiplier of an active and slack of an inactive row after that step (strict complementarity), each
+        relative to what it balances or is made of; infinite without inequalities.
     change: relative change under that step of the adjoint; for a tangent, of the adjoint of a function whose slope it
         is. Is the solution close enough to differentiate?
-    kink: relative disagreement of second derivatives, along the adjoint or the tangent, with differences of the
-        gradient: is the problem smooth here?
+    kink: relative disagreement of derivatives, along the adjoint or the tangent and along psi, s_0 and the context,
+        with differences to either side: is the problem smooth here?
     linear_residual: of the adjoint or tangent system, relative.
-    active: (n_ineq,) bool; finite lower bounds of w, finite upper bounds of w, then path constraints stage by stage.
+    active: (n_rows,) bool; rows as in `sensitivity.rows.rows_of`: bounds, path constraints, then equalities.
     barrier: tau; above zero the derivative is that of the smoothed problem.
     """
 
@@ -98,7 +100,7 @@ def undefined(solution: Solution, active: Mask) -> SensitivityCertificate:
         solution=solution,
         failures=(
             "A derivative at the solution is NaN or infinite: look at its status, and at dynamics and costs there.",
-            *([] if solution.status is Status.CONVERGED else [_not_converged(solution)]),
+            *([] if solution.status in _SOLVED else [_not_converged(solution)]),
         ),
         kkt_residual=solution.residuals.worst,
         active=active,
@@ -116,7 +118,7 @@ def certified(**evidence: Any) -> SensitivityCertificate:
 def _failures(found: SensitivityCertificate) -> list[str]:
     """A sentence for every condition that does not hold; comparisons are written so that NaN fails."""
     conditions = (
-        (found.solution.status is Status.CONVERGED, _not_converged(found.solution)),
+        (found.solution.status in _SOLVED, _not_converged(found.solution)),
         (
             found.kkt_residual <= KKT_RESIDUAL,
             f"The KKT residual is {found.kkt_residual:.1e}, above {KKT_RESIDUAL:.0e}: solve to a tighter tolerance.",
@@ -147,7 +149,7 @@ def _failures(found: SensitivityCertificate) -> list[str]:
         ),
         (
             found.kink <= KINK,
-            f"Second derivatives disagree with differences by {found.kink:.1e}: the solution sits on a kink; use a "
+            f"Derivatives disagree with differences by {found.kink:.1e}: the solution sits on a kink; use a "
             "smooth cost and dynamics (softplus or tanh for ReLU).",
         ),
         (

@@ -1,27 +1,26 @@
 """The implicit function theorem on the KKT conditions: products with the derivative of a solution.
 
-With v = (w, lambda, mu), p = (psi, s_0, c) and F(v; p) = (grad_w Lagrangian, defects, active constraints) = 0,
+With v = (x, lambda, mu), p = (psi, s_0, c) and F(v; p) = (grad_x Lagrangian, defects, active constraints) = 0,
 
     dv/dp = -(dF/dv)^{-1} dF/dp.
 
-`pull` is the vector-Jacobian product for a cotangent of w, `push` the Jacobian-vector product for a tangent of p.
+`pull` is the vector-Jacobian product for a cotangent of x, `push` the Jacobian-vector product for a tangent of p.
 Whether the derivative exists is for a certificate to say (`sensitivity`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.conditions import parameter_derivatives
-from kpirl_ocp.ocp.conditions.nlp import unpack
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, PrimalDual, linearise, primal_dual
-from kpirl_ocp.types import Array, Solution, Trajectory
+from kpirl_ocp.types import Array, Solution
 
 
 class ByParameters(NamedTuple):
@@ -47,34 +46,60 @@ class ImplicitFunction:
         return cls(system, Factorisation(system))
 
     def pull(self, adjoint: PrimalDual) -> ByParameters:
-        """Gradients of a function of w, from the solution of its adjoint system (`Factorisation.adjoint`)."""
+        """Gradients of a function of x, from the solution of its adjoint system (`Factorisation.adjoint`)."""
         system, problem = self.system, self.system.instance.problem
-        n_s, forces, (x, last) = problem.n_states, self._path_forces(adjoint), system.by_stage(adjoint.w)
-        at = *system.instance.arguments(system.point), x, last, adjoint.costates, forces
-        by_psi, by_context = call(problem, parameter_derivatives.pull)(*at)
-        by_start = system.H[0] @ x[0] + system.F[0] @ adjoint.costates[:n_s]
-        by_start += system.G[0] @ forces.reshape(problem.horizon, -1)[0]
-        return ByParameters(-by_psi, -by_start[:n_s], -by_context)
+        by_start = -system.linear.balance([adjoint.x, adjoint.costates, adjoint.forces])[: problem.n_states]
+        by_start[problem.free_start] = 0.0
+        by_psi, by_context = self.pull_at(adjoint, system.instance.psi, system.instance.context)
+        return ByParameters(by_psi, by_start, by_context)
 
-    def push(self, direction: ByParameters) -> tuple[Trajectory, float]:
-        """Change of the trajectory when psi, s_0 and the context move, and the relative residual of its system."""
-        system, instance = self.system, self.system.instance
-        problem, n_s = instance.problem, instance.problem.n_states
-        at = *instance.arguments(system.point), direction.psi, direction.context
-        dr, dr_last, ddefects, dpath = call(problem, parameter_derivatives.push)(*at)
-        x = np.zeros((problem.horizon, n_s + problem.n_actions))
-        x[0, :n_s] = direction.s0
-        dr = dr.reshape(x.shape) + (system.H @ x[:, :, None])[:, :, 0]
-        ddefects = ddefects + (x[:, None, :] @ system.F).ravel()
-        dpath = dpath + (x[:, None, :] @ system.G).ravel()
-        values = np.concatenate([np.zeros(len(system.active) - len(dpath)), dpath])  # change of all inequalities
-        right = -system.flat(dr, dr_last) - system.times_transposed_rows(system.stiffness * values)
-        change, residual = self.factors.solve(right, -ddefects, np.where(system.active, -values, 0.0))
-        return unpack(problem, direction.s0, change.w), residual
+    def pull_at(self, adjoint: PrimalDual, psi: Array, context: Array) -> tuple[Array, Array]:
+        """Gradients by psi and the context, taken at others than those of the solution."""
+        system = self.system
+        forces = self._changed_forces(adjoint)
+        changes = adjoint.x, adjoint.costates, *system.instance.rows.split(forces)[1:]
+        at, (z, nu) = system.point, system.instance.rows.split(system.point.forces)[1:]
+        by_psi, by_context = call(system.instance.problem, parameter_derivatives.pull)(
+            at.x, psi, context, at.costates, z, nu, *changes
+        )
+        return -by_psi, -by_context
 
-    def _path_forces(self, adjoint: PrimalDual) -> Array:
-        """Changes of the path constraints' forces (T n_h,), of the smoothed ones too."""
+    def weights(self, adjoint: PrimalDual) -> Array:
+        """The weights of `conditions` in the gradients."""
+        forces = self._changed_forces(adjoint)[self.system.instance.rows.n_bounds :]
+        return np.concatenate([adjoint.x, adjoint.costates, forces])
+
+    def conditions(self, direction: ByParameters, length: float) -> Array:
+        """Gradient of the Lagrangian, defects, path constraints and equalities when psi, s_0 and the context move."""
+        instance, free = self.system.instance, self.system.instance.problem.free_start
+        moved = replace(
+            instance,
+            psi=instance.psi + length * direction.psi,
+            s0=instance.s0 + length * direction.s0,
+            context=instance.context + length * direction.context,
+        )
+        x = self.system.point.x.copy()
+        x[: len(free)] += np.where(free, 0.0, length * direction.s0)
+        at = moved.values(replace(self.system.point, x=x))
+        return np.concatenate([at.gradient, at.defects, at.path, at.equality])
+
+    def push(self, direction: ByParameters) -> tuple[PrimalDual, float]:
+        """Change of the solution when psi, s_0 and the context move, and the relative residual of its system.
+
+        Entries of s_0 that are free do not follow `direction`.
+        """
         system, instance = self.system, self.system.instance
-        if not instance.barrier > 0:
-            return instance.path_forces(adjoint.forces)
-        return instance.path_forces(adjoint.forces + system.stiffness * system.times_rows(adjoint.w))
+        at, (z, nu) = system.point, instance.rows.split(system.point.forces)[1:]
+        dr, ddefects, dpath, dequality = call(instance.problem, parameter_derivatives.push)(
+            at.x, instance.psi, instance.context, at.costates, z, nu, direction.psi, direction.context
+        )
+        values = np.concatenate([np.zeros(instance.rows.n_bounds), dpath, dequality])  # change of all rows
+        right = -dr - system.linear.transposed_times(system.stiffness * values)
+        return self.factors.solve(right, -ddefects, np.where(system.active, -values, 0.0), direction.s0)
+
+    def _changed_forces(self, adjoint: PrimalDual) -> Array:
+        """Changes of the rows' forces (n_rows,), of the smoothed ones too."""
+        system = self.system
+        if not system.instance.barrier > 0:
+            return adjoint.forces
+        return adjoint.forces + system.stiffness * system.linear.times(adjoint.x)

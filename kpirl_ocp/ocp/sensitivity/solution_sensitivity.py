@@ -12,14 +12,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.ocp.conditions.nlp import pack
+from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives
 from kpirl_ocp.ocp.sensitivity.certificate import (
+    KINK,
     Policy,
     SensitivityCertificate,
     certified,
@@ -29,9 +31,9 @@ from kpirl_ocp.ocp.sensitivity.certificate import (
 )
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, PrimalDual, linearise, primal_dual
-from kpirl_ocp.ocp.sensitivity.nearby_tests import Nearby, kink_along, newton_step
-from kpirl_ocp.types import Array, Solution, Trajectory
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, PrimalDual, linearise, primal_dual
+from kpirl_ocp.ocp.sensitivity.nearby_tests import Nearby, kink_along, kink_in_parameters, newton_step
+from kpirl_ocp.types import Array, Solution
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,11 @@ class Sensitivity:
         self.problem, self.solution, self.policy = problem, solution, policy
         instance = Instance.of(problem, solution)
         self._system = linearise(instance, primal_dual(instance, solution), derivatives=derivatives)
-        self._function: ImplicitFunction | None = None
+
+    @property
+    def sizes(self) -> Array:
+        """(n_w,) of the entries of (s_0, u_0, s_1, .., s_T): the largest of each kind over the horizon."""
+        return self._system.sizes
 
     def pull(self, by_states: ArrayLike, by_actions: ArrayLike) -> Gradients:
         """Gradients of a function L of the trajectory.
@@ -97,14 +103,17 @@ class Sensitivity:
             ProblemError: shapes that do not fit.
         """
         states, actions = self.problem.as_states(by_states), self.problem.as_actions(by_actions)
-        slope = pack(Trajectory(states, actions))
-        if not (self._system.finite and np.isfinite(states).all() and np.isfinite(actions).all()):
+        slope = by_stage(states, actions)
+        if not (self._system.finite and np.isfinite(slope).all()):
             psi, s0, context = (np.full(size, np.nan) for size in self._sizes)
             return Gradients(psi, s0, context, self._undefined())
-        function = self._factorised(slope)
+        function = self._factorised
         adjoint, residual = function.factors.adjoint(slope)
-        psi, s0, context = function.pull(adjoint)
-        return Gradients(psi, states[0] + s0, context, self._evidence(slope, adjoint, adjoint.w, residual))
+        found = function.pull(adjoint)
+        evidence = self._evidence(slope, adjoint, adjoint.x, residual)
+        evidence["kink"] = max(evidence["kink"], kink_in_parameters(function, adjoint, found))
+        s0 = np.where(self.problem.free_start, 0.0, states[0] + found.s0)
+        return Gradients(found.psi, s0, found.context, self._certificate(evidence))
 
     def push(
         self, psi: ArrayLike | None = None, s0: ArrayLike | None = None, context: ArrayLike | None = None
@@ -126,52 +135,59 @@ class Sensitivity:
         if not self._system.finite:
             states, actions = (np.full(part.shape, np.nan) for part in (self.solution.states, self.solution.actions))
             return Tangent(states, actions, self._undefined())
-        function = self._factorised()
+        function = self._factorised
         change, residual = function.push(ByParameters(dpsi, ds0, dcontext))
-        w = pack(change)
-        adjoint, _ = function.factors.adjoint(w)
-        return Tangent(change.states, change.actions, self._evidence(w, adjoint, w, residual))
+        adjoint, _ = function.factors.adjoint(change.x)
+        evidence = self._evidence(change.x, adjoint, change.x, residual)
+        evidence["kink"] = max(evidence["kink"], kink_in_parameters(function, adjoint, function.pull(adjoint)))
+        problem = self.problem
+        states, actions = split(change.x, problem.horizon, problem.n_states, problem.n_actions)
+        return Tangent(states, actions, self._certificate(evidence))
 
     @property
     def _sizes(self) -> tuple[int, int, int]:
         """Lengths of psi, s_0 and the context."""
         return self.problem.n_parameters, self.problem.n_states, self.problem.n_context
 
-    def _factorised(self, slope: Array | None = None) -> ImplicitFunction:
-        """Factors of the system; the adjoint of the first slope is begun with them, in one call of machine code."""
-        if self._function is None:
-            self._function = ImplicitFunction(self._system, Factorisation(self._system, slope))
-        return self._function
+    @cached_property
+    def _factorised(self) -> ImplicitFunction:
+        return ImplicitFunction(self._system, Factorisation(self._system))
 
     @cached_property
     def _nearby(self) -> Nearby:
-        return newton_step(self._system, self._factorised().factors)
+        return newton_step(self._system, self._factorised.factors)
+
+    @cached_property
+    def _nearby_system(self) -> KKTSystem:
+        return linearise(self._system.instance, self._nearby.point, self._system.active)
 
     def _undefined(self) -> SensitivityCertificate:
         certificate = undefined(self.solution, self._system.active)
         require(self.policy, certificate)
         return certificate
 
-    def _evidence(self, slope: Array, adjoint: PrimalDual, direction: Array, residual: float) -> SensitivityCertificate:
-        """The certificate: the adjoint of `slope` has to be stable, and the problem smooth along `direction`."""
-        factors = self._factorised().factors
+    def _evidence(self, slope: Array, adjoint: PrimalDual, direction: Array, residual: float) -> dict[str, Any]:
+        """Measurements: the adjoint of `slope` has to be stable, and the problem smooth along `direction`."""
+        factors = self._factorised.factors
         step, margin, change, kink = np.inf, np.nan, np.inf, np.inf
-        if np.isfinite(adjoint.w).all() and np.isfinite(direction).all():
+        if np.isfinite(adjoint.x).all() and np.isfinite(direction).all():
             step, margin = self._nearby.step, self._nearby.margin
-            change = factors.change_nearby(self._nearby.point, slope, adjoint)
-            kink = kink_along(self._system, direction)
+            change = factors.change_nearby(self._nearby_system, slope, adjoint)
+            kink = kink_along(self._system, direction, KINK)
+        return {
+            "kkt_residual": self.solution.residuals.worst,
+            "curvature": factors.curvature,
+            "qualification": factors.qualification,
+            "step": step,
+            "margin": margin,
+            "change": change,
+            "kink": kink,
+            "linear_residual": residual,
+        }
+
+    def _certificate(self, evidence: dict[str, Any]) -> SensitivityCertificate:
         certificate = certified(
-            solution=self.solution,
-            kkt_residual=self.solution.residuals.worst,
-            curvature=factors.curvature,
-            qualification=factors.qualification,
-            step=step,
-            margin=margin,
-            change=change,
-            kink=kink,
-            linear_residual=residual,
-            active=self._system.active,
-            barrier=self.solution.barrier,
+            solution=self.solution, active=self._system.active, barrier=self.solution.barrier, **evidence
         )
         require(self.policy, certificate)
         return certificate

@@ -164,9 +164,13 @@ typedef struct kpirl_mpc_view {
 
 void kpirl_mpc_core_view(const kpirl_mpc_core *core, kpirl_mpc_view *view);
 
-/* The second derivatives of the Lagrangian of cost, dynamics and constraints but bounds, at core->at: its gradient r by x;
- * G (n_h, n_x) and E (n_e, n_x), of s_T behind them; H (n_x, n_x) whole, of s_T (n_s, n_s) behind. */
-void kpirl_mpc_core_derivatives(const kpirl_mpc_core *core, real *r, real *G, real *E, real *H);
+/* The gradient r (n_w) by x of the Lagrangian of cost, dynamics and constraints but bounds, at core->at. */
+void kpirl_mpc_core_gradient(const kpirl_mpc_core *core, real *r);
+
+/* Values and derivatives of a level at a point: x, costates, and the multipliers of constraints; those of bounds are not read.
+ * They are core->d, but for what depends on bounds; core->d.gradient is that of kpirl_mpc_core_gradient. Returns 0, or 1 when a
+ * function reported an error. */
+int kpirl_mpc_core_evaluate_at(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point, int level);
 
 /* ---- parts ---- */
 

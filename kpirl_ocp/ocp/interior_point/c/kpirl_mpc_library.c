@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: MIT */
 #include "kpirl_mpc_library.h"
 
+#include "kpirl_mpc_system.h"
+
 #include <string.h>
 
 int kpirl_mpc_evaluate_buffered(void *self, const void *arguments, const void *results) {
@@ -32,7 +34,8 @@ int kpirl_mpc_layout(void) {
   static const size_t sizes[] = {sizeof(kpirl_mpc_dimensions), sizeof(kpirl_mpc_model),     sizeof(kpirl_mpc_bounds),
                                  sizeof(kpirl_mpc_numbers),    sizeof(kpirl_mpc_options),   sizeof(kpirl_mpc_start),
                                  sizeof(kpirl_mpc_view),       sizeof(kpirl_mpc_residuals), sizeof(kpirl_mpc_iteration),
-                                 sizeof(kpirl_mpc_buffered),   sizeof(kpirl_mpc_compiled)};
+                                 sizeof(kpirl_mpc_buffered),   sizeof(kpirl_mpc_compiled),  sizeof(kpirl_mpc_system),
+                                 sizeof(kpirl_mpc_triple)};
   size_t sum = 0, i;
   for (i = 0; i < sizeof sizes / sizeof *sizes; ++i) sum += (i + 1) * sizes[i];
   return (int)sum;

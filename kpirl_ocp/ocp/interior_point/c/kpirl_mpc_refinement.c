@@ -1,0 +1,194 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * Solutions of the linearised KKT conditions by refinement with their factors.
+ */
+#include "kpirl_mpc_system.h"
+
+#include <string.h>
+
+static const real CLOSE = (real)1e-10;   /* below it, a step that gains less than three digits has met the rounding */
+static const real SETTLED = (real)0.1;   /* the last correction is at most this share of the total change ... */
+static const real FOLLOWED = (real)1e-6; /* ... or this share of x, and the relative residual is below this */
+static const real NOTHING = (real)1e-8;  /* an x this much shorter than a free one is zero up to rounding */
+enum { CHANGES = 6 };
+
+static real *carve(kpirl_mpc_triple *triple, const kpirl_mpc_system *s, real *memory) {
+  triple->x = memory;
+  triple->costates = triple->x + kpirl_mpc_system_n_point(s);
+  triple->forces = triple->costates + s->horizon * s->n_states;
+  triple->start = triple->forces + kpirl_mpc_system_n_rows(s);
+  return triple->start + s->n_states;
+}
+
+static void copy_triple(const kpirl_mpc_system *s, const kpirl_mpc_triple *from, kpirl_mpc_triple *to) {
+  memcpy(to->x, from->x, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  memcpy(to->costates, from->costates, (size_t)(s->horizon * s->n_states) * sizeof(real));
+  memcpy(to->forces, from->forces, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
+}
+
+/* residual = right - system point. Entries of s_0 that are given have no equation but their value. */
+static void residual_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, const kpirl_mpc_triple *point,
+                        kpirl_mpc_triple *residual) {
+  const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions, m = kpirl_mpc_system_n_rows(s);
+  int t, i, next = 0;
+  kpirl_mpc_balance_and_rows(s, point, residual->x, residual->forces);
+  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) residual->x[i] = right->x[i] - residual->x[i];
+  for (i = 0; i < m; ++i) residual->forces[i] = s->active[i] != 0 ? right->forces[i] - residual->forces[i] : 0;
+  for (i = 0; i < n_s; ++i) {
+    const int is_free = next < s->n_free && s->free[next] == i;
+    next += is_free;
+    residual->start[i] = is_free ? 0 : right->start[i] - point->x[i];
+    if (!is_free) residual->x[i] = 0;
+  }
+  memset(residual->costates, 0, (size_t)(T * n_s) * sizeof(real));
+  for (t = 0; t < T; ++t)
+    kpirl_mpc_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, point->x + t * n_x, residual->costates + t * n_s);
+  for (t = 0; t < T; ++t)
+    for (i = 0; i < n_s; ++i) {
+      real *gap = residual->costates + t * n_s + i;
+      *gap = right->costates[t * n_s + i] - (*gap - point->x[(t + 1) * n_x + i]);
+    }
+}
+
+/* K (dx, dlambda) = (r + C' S c, d),  dmu = S (C dx - c)  with K the factorised matrix: point += step. Returns |dx|. */
+static real correct(const kpirl_mpc_system *s, const kpirl_mpc_triple *residual, kpirl_mpc_triple *point, real *work) {
+  const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, m = kpirl_mpc_system_n_rows(s);
+  real *q = work, *dx = q + n_w, *d = residual->costates, *forces = residual->forces;
+  real *dcostates = dx + n_w, *change = dcostates + n_c, size;
+  int i;
+  for (i = 0; i < m; ++i) change[i] = s->stiffness[i] * forces[i];
+  memcpy(q, residual->x, (size_t)n_w * sizeof(real));
+  kpirl_mpc_rows_push(s, change, q);
+  for (i = 0; i < n_w; ++i) q[i] = -q[i];
+  for (i = 0; i < n_c; ++i) d[i] = -d[i];
+  kpirl_mpc_system_substitute(s, q, d, residual->start, dx, dcostates);
+  size = kpirl_mpc_decision_norm(s, dx);
+  for (i = 0; i < n_w; ++i) point->x[i] += dx[i];
+  for (i = 0; i < n_c; ++i) point->costates[i] += dcostates[i];
+  kpirl_mpc_rows_times(s, dx, change);
+  for (i = 0; i < m; ++i) point->forces[i] += s->stiffness[i] * (change[i] - forces[i]);
+  return size;
+}
+
+/* ---- norms -------------------------------------------------------------------------------------------------- */
+
+/* |values * sizes| over x */
+static real gradient_norm(const kpirl_mpc_system *s, const real *values) {
+  real sum = 0;
+  int i;
+  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) sum += values[i] * s->sizes[i] * values[i] * s->sizes[i];
+  return kpirl_mpc_root(sum);
+}
+
+static real point_norm(const kpirl_mpc_system *s, const real *x) {
+  real sum = 0;
+  int i;
+  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) sum += x[i] / s->sizes[i] * (x[i] / s->sizes[i]);
+  return kpirl_mpc_root(sum);
+}
+
+/* |values / sizes|, or |values * sizes|, of numbers that belong to s_1 .. s_T */
+static real successor_norm(const kpirl_mpc_system *s, const real *values, int divided) {
+  const int n_s = s->n_states, n_x = n_s + s->n_actions;
+  real sum = 0;
+  int t, i;
+  for (t = 0; t < s->horizon; ++t)
+    for (i = 0; i < n_s; ++i) {
+      const real size = s->sizes[(t + 1) * n_x + i], value = values[t * n_s + i];
+      const real v = divided ? value / size : value * size;
+      sum += v * v;
+    }
+  return kpirl_mpc_root(sum);
+}
+
+static real row_norm(const kpirl_mpc_system *s, const real *values) {
+  real sum = 0;
+  int i;
+  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) {
+    const real v = s->active[i] * values[i] / s->lengths[i];
+    sum += v * v;
+  }
+  return kpirl_mpc_root(sum);
+}
+
+/* The least that an x without rows can be: |reduced r| over the largest |eigenvalue| of the reduced Hessian. */
+static real least_norm(const kpirl_mpc_system *s, const real *r) {
+  const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
+  real *m = s->scratch, sum = 0;
+  int t, i;
+  memcpy(m, r, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  for (t = T - 1; t >= 0; --t)
+    kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, m + (t + 1) * n_x, m + t * n_x);
+  for (i = 0; i < s->n_decisions; ++i) {
+    const real v = m[s->decisions[i]] / s->roots[i];
+    sum += v * v;
+  }
+  return kpirl_mpc_root(sum) / (s->scale > 0 ? s->scale : 1);
+}
+
+static real over(real value, real size) { return value / (size > 0 ? size : 1); }
+
+/* The largest of the three residuals, relative; NaN if one is. */
+static real error_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, const kpirl_mpc_triple *point,
+                     const kpirl_mpc_triple *residual, real least) {
+  const real gaps = successor_norm(s, right->costates, 1), values = row_norm(s, right->forces);
+  real gradient = gradient_norm(s, right->x), decisions = kpirl_mpc_decision_norm(s, point->x), x, parts[3];
+  if (gaps > 0 || values > 0) gradient = kpirl_mpc_larger(gradient, successor_norm(s, point->costates, 0));
+  decisions = kpirl_mpc_larger(kpirl_mpc_larger(decisions, least), values);
+  x = kpirl_mpc_larger(kpirl_mpc_larger(point_norm(s, point->x), gaps), over(least, kpirl_mpc_decision_norm(s, s->sizes)));
+  parts[0] = over(gradient_norm(s, residual->x), gradient);
+  parts[1] = over(successor_norm(s, residual->costates, 1), x);
+  parts[2] = over(row_norm(s, residual->forces), decisions);
+  return kpirl_mpc_largest(parts, 3);
+}
+
+/* ---- solutions ---------------------------------------------------------------------------------------------- */
+
+real kpirl_mpc_system_solve(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, real enough, int most,
+                            kpirl_mpc_triple *point) {
+  const real least = least_norm(s, right->x);
+  kpirl_mpc_triple at, residual;
+  real *work = s->scratch + kpirl_mpc_system_inner_scratch(s), best = (real)INFINITY;
+  int k;
+  work = carve(&at, s, work);
+  work = carve(&residual, s, work);
+  memset(at.x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
+  copy_triple(s, &at, point);
+  for (k = 0; k <= most; ++k) {
+    residual_of(s, right, &at, &residual);
+    if (k > 0) {
+      const real error = error_of(s, right, &at, &residual, least);
+      const int stalled = !(error < best / (error > CLOSE ? 10 : 1000));
+      if (error < best || k == 1) {
+        best = error;
+        copy_triple(s, &at, point);
+      }
+      if (stalled || error <= enough) break;
+    }
+    if (k < most) correct(s, &residual, &at, work);
+  }
+  return best;
+}
+
+real kpirl_mpc_system_change(const kpirl_mpc_system *s, const kpirl_mpc_system *nearby, const kpirl_mpc_triple *right,
+                             kpirl_mpc_triple *point) {
+  const int n_w = kpirl_mpc_system_n_point(s);
+  const real least = least_norm(s, right->x);
+  const real whole = kpirl_mpc_larger(kpirl_mpc_decision_norm(s, point->x), NOTHING * least);
+  kpirl_mpc_triple residual;
+  real *work = carve(&residual, s, s->scratch + kpirl_mpc_system_inner_scratch(s)), *before = work, last = 0, change = 0;
+  int i, k;
+  work = before + n_w;
+  memcpy(before, point->x, (size_t)n_w * sizeof(real));
+  for (k = 0; k <= CHANGES; ++k) {
+    real error;
+    residual_of(nearby, right, point, &residual);
+    error = error_of(nearby, right, point, &residual, least);
+    if (k > 0 && error <= FOLLOWED && last <= kpirl_mpc_larger(SETTLED * change, FOLLOWED * whole))
+      return change > 0 ? change / whole : 0;
+    last = correct(s, &residual, point, work);
+    for (i = 0; i < n_w; ++i) residual.x[i] = point->x[i] - before[i];
+    change = kpirl_mpc_decision_norm(s, residual.x);
+  }
+  return (real)INFINITY;
+}

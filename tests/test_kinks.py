@@ -1,0 +1,93 @@
+"""Kinks and jumps wherever they can be: in psi, the observation, the loss; and the same verdict in every unit."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from kpirl_ocp import OCP, Demonstration, Implicit
+
+S, U, P = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("p")
+PLAIN = {"state": S, "action": U, "parameters": P, "dynamics": S + U, "horizon": 2}
+
+
+def certificate_of(problem, psi, observations=(0.0, 0.0, 0.0), **settings):
+    seen = Demonstration(np.zeros(problem.n_states), np.zeros(0), np.reshape(observations, (problem.horizon + 1, -1)))
+    return Implicit(policy="flag", **settings)(problem, seen, np.atleast_1d(psi))
+
+
+def distance(problem):
+    """L1."""
+    states = ca.MX.sym("S", problem.n_states, problem.horizon + 1)
+    actions = ca.MX.sym("U", problem.n_actions, problem.horizon)
+    seen = ca.MX.sym("Z", problem.n_observations, problem.horizon + 1)
+    return ca.Function("l1", [states, actions, seen], [ca.sum2(ca.fabs(states - seen))])
+
+
+WEIGHTED = OCP.from_expressions(**PLAIN, stage_cost=(0.2 + ca.fabs(P)) * (U - 0.4) ** 2 + 0.1 * (S - 2) ** 2)
+FOLLOWING = OCP.from_expressions(**PLAIN, stage_cost=(U - P) ** 2)
+FOLDED = OCP.from_expressions(**PLAIN, stage_cost=(U - P) ** 2, observation=ca.fabs(S - 1))
+STEPPED = OCP.from_expressions(**PLAIN, stage_cost=(U - ca.floor(P)) ** 2)
+BENT = OCP.from_expressions(**PLAIN, stage_cost=(U - P) ** 2 + ca.fabs(U - 1) * (U - 1))
+SHIFTED = OCP.from_expressions(**PLAIN | {"dynamics": S + U + ca.fabs(P)}, stage_cost=(U - 1) ** 2 + S**2)
+
+
+def test_a_kink_that_only_psi_sees_is_flagged_and_its_sides_are_certified():
+    """With w = 0.2 + |psi|: u_0 = (0.4 w + 0.2) / (w + 0.1), u_1 = 0.4; at psi = 0 the sides are -2.607 and +2.607."""
+    seen = [0.0, 23 / 30, 23 / 30]
+    assert "kink" in str(certificate_of(WEIGHTED, 0.0, seen).certificate)
+    for psi in (1e-4, -1e-4):
+        found, w = certificate_of(WEIGHTED, psi, seen), 0.2 + abs(psi)
+        u = (0.4 * w + 0.2) / (w + 0.1)
+        slope = -0.16 / (w + 0.1) ** 2 * 2 * (2 * u + 0.4 - 23 / 15)
+        assert found.certificate.certified
+        np.testing.assert_allclose(found.gradient, np.sign(psi) * slope, rtol=1e-8)
+        assert abs(abs(found.gradient[0]) - 2.607) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("problem", "kink", "beside"), [(STEPPED, 1.0, 1.5), (BENT, 1.0, 1.2), (SHIFTED, 0.0, 0.3)], ids=str
+)
+def test_jumps_and_bends_of_the_plan_are_flagged_and_points_beside_them_certified(problem, kink, beside):
+    assert not certificate_of(problem, kink).certificate.certified
+    assert certificate_of(problem, beside).certificate.certified
+
+
+def test_a_kink_of_the_observation_is_flagged():
+    """The loss has the slopes -1 and +1 there."""
+    assert "observation" in str(certificate_of(FOLDED, 1.0, [1, 0.5, 1]).certificate)
+    beside = certificate_of(FOLDED, 1.1, [1, 0.5, 1])
+    assert beside.certificate.certified
+
+
+def test_a_loss_on_its_kink_is_flagged_and_a_smooth_one_at_its_minimum_is_certified():
+    reached = [0.0, 1.0, 2.0]  # psi = 1
+    assert "kink" in str(certificate_of(FOLLOWING, 1.0, reached, loss=distance).certificate)
+    assert certificate_of(FOLLOWING, 1.0, reached).certificate.certified
+    beside = certificate_of(FOLLOWING, 1.1, reached, loss=distance)
+    assert beside.certificate.certified
+    np.testing.assert_allclose(beside.gradient, 3.0, rtol=1e-10)
+
+
+@pytest.mark.parametrize("cost", 10.0 ** np.arange(-2, 7, 2))
+@pytest.mark.parametrize("unit", [0.1, 1.0, 1e4])
+@pytest.mark.parametrize(
+    ("gap", "certified"), [(1e-9, False), (1e-7, False), (-1e-7, False), (1e-4, True), (-1e-4, True)]
+)
+def test_units_of_cost_and_action_do_not_change_the_verdict_beside_a_kink(cost, unit, gap, certified):
+    """u = min(p, 1/2), in other units."""
+    problem = OCP.from_expressions(**PLAIN, stage_cost=cost * (U / unit - P) ** 2, action_bounds=(-np.inf, 0.5 * unit))
+    found = certificate_of(problem, 0.5 + gap)
+    assert found.certificate.certified is certified
+    assert not certified or found.gradient[0] == pytest.approx(
+        0.0 if gap > 0 else 10 * (0.5 + gap) * unit**2, rel=1e-4, abs=1e-4 * unit**2
+    )
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e-3, 1.0, 1e3, 1e6])
+def test_a_flat_direction_is_flagged_and_an_action_in_other_units_is_not(unit):
+    u = ca.SX.sym("u", 2)
+    given = PLAIN | {"action": u, "dynamics": S + u[0] + u[1] / unit}
+    round_ = OCP.from_expressions(**given, stage_cost=(u[0] - P) ** 2 + (u[1] / unit) ** 2 + S**2)
+    flat = OCP.from_expressions(**given, stage_cost=(u[0] + u[1] / unit - P) ** 2 + S**2)
+    assert certificate_of(round_, 1.0).certificate.certified
+    assert "minimum" in str(certificate_of(flat, 1.0).certificate)
