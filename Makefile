@@ -47,6 +47,11 @@ models: .venv/installed-perception
 			--data $(MODELS)/data/sines --test $(MODELS)/test/sines || exit; \
 		$(DYNAMICS) --activation $$activation --out $(MODELS)/placing-$$activation \
 			--data $(MODELS)/data/placing --test $(MODELS)/test/placing || exit; done
+	# The layout that reproduce_paper.py --models reads; tanh, so that converged plans can be differentiated.
+	for suffix in json safetensors; do \
+		cp $(MODELS)/detector/detector.$$suffix $(MODELS)/detector.$$suffix || exit; \
+		for task in reaching placing; do \
+			cp $(MODELS)/$$task-tanh/dynamics.$$suffix $(MODELS)/$$task.$$suffix || exit; done; done
 
 docs: .venv/installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,45 @@ class Recording(GroundTruth):
     """A clip with the truth about it; images: (T+1, H, W, 3) uint8 RGB."""
 
     images: NDArray[np.uint8] = stored("observation.images.camera", np.uint8, "T+1", "H", "W", 3)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmFilm:
+    """A recording of any robot, as its user has it: frames, joints and commands.
+
+    images: (T+1, H, W, 3) uint8 RGB. joints: (T+1, n_joints) [rad]. actions: (T, n_joints) displacements [rad].
+    times: (T+1,) [s].
+    """
+
+    images: NDArray[np.uint8] = stored("observation.images.camera", np.uint8, "T+1", "H", "W", 3)
+    joints: Array = stored("observation.state", np.float64, "T+1", "n_joints")
+    actions: Array = stored("action", np.float64, "T", "n_joints")
+    times: Array = stored("timestamp", np.float64, "T+1")
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredArmFilm(ArmFilm):
+    """The same with velocities (T+1, n_joints) [rad/s]."""
+
+    velocities: Array = stored("observation.velocity", np.float64, "T+1", "n_joints")
+
+
+def read_arm_film(path: Path) -> MeasuredArmFilm:
+    """A recording of a robot; where the file has no velocities they come from the joints of the frame before.
+
+    Raises EpisodeError, naming file and key, if anything is amiss.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            measured = "observation.velocity" in file.files
+    except (OSError, ValueError, BadZipFile):
+        measured = False  # reading it says what is wrong
+    if measured:
+        return read_episode(path, MeasuredArmFilm)
+    film = read_episode(path, ArmFilm)
+    moved = np.diff(film.joints, axis=0) / np.diff(film.times)[:, None]
+    velocities = np.vstack([np.zeros_like(film.joints[:1]), moved])  # at rest in the first frame
+    return MeasuredArmFilm(film.images, film.joints, film.actions, film.times, velocities)
 
 
 @dataclass(frozen=True, eq=False)

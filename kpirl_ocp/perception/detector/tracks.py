@@ -6,20 +6,23 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from kpirl_ocp.episodes import ArmTrack, iterate_episodes, read_meta
-from kpirl_ocp.perception.data.recordings import ArmRecording
+from kpirl_ocp.episodes import ArmTrack, episode_path, read_meta
+from kpirl_ocp.perception.data.recordings import read_arm_film
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 
 
 def detect_tracks(detector: KeypointDetector, directory: str | Path) -> list[ArmTrack]:
-    """The keypoints of all recordings of the robot in a directory, one recording in memory at a time.
+    """The keypoints of all recordings of a robot in a directory, one recording in memory at a time.
+
+    A recording needs frames, joints, actions and times (`ArmFilm`); no truth about the object.
 
     Raises:
         EpisodeError: an episode is missing, malformed or not finite.
     """
     directory = Path(directory)
     count = read_meta(directory)["episodes"]
-    clips = tqdm(iterate_episodes(directory, count, ArmRecording), f"detect {directory.name}", count, unit="episode")
+    films = (read_arm_film(episode_path(directory, index)) for index in range(count))
+    clips = tqdm(films, f"detect {directory.name}", count, unit="episode")
     return [
         ArmTrack(
             keypoints=detector.detect(clip.images),

@@ -27,6 +27,7 @@ ACTIVATIONS: Mapping[str, type[nn.Module]] = {
     "silu": nn.SiLU,
 }
 HIDDEN = (100, 25)
+_LEAST_SPEED = 1e-2  # by which velocities are scaled [rad/s]
 
 
 class DynamicsModel(nn.Module):
@@ -49,12 +50,19 @@ class DynamicsModel(nn.Module):
             self.register_buffer(f"{name}_scale", torch.ones(width))
 
     def normalise(self, inputs: Tensor, changes: Tensor) -> None:
-        """Take means and deviations from training data: x (n, n_x) and z_{t+1} - z_t (n, n_z)."""
+        """Take means and deviations from training data: x (n, n_x) and z_{t+1} - z_t (n, n_z).
+
+        A number that never changes (a joint that is not used) carries no information and is left unscaled. Velocities
+        are scaled to at least 1e-2 rad/s: those of an arm that rests at every look are rounding, and no other arm's
+        encoders are as quiet.
+        """
         for name, values in (("input", inputs), ("output", changes)):
             deviation = values.std(0)
-            # A number that never changes (a joint that is not used) carries no information: leave it unscaled.
             self.get_buffer(f"{name}_mean").copy_(values.mean(0))
             self.get_buffer(f"{name}_scale").copy_(torch.where(deviation > 1e-6, deviation, 1.0))
+        first = self.sizes["keypoints"] + self.sizes["joints"]
+        velocities = self.get_buffer("input_scale")[first : first + self.sizes["velocities"]]
+        velocities.copy_(torch.where(velocities == 1.0, velocities, velocities.clamp_min(_LEAST_SPEED)))
 
     def forward(self, z: Tensor, theta: Tensor, velocity: Tensor, u: Tensor) -> Tensor:
         """One step of the dynamics.
