@@ -86,32 +86,38 @@ def test_rows_that_do_not_depend_on_the_action_hold_at_the_end():
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-def test_rows_that_zeros_of_the_schedule_switch_off_are_not_live(kind):
+def test_rows_that_zeros_and_ones_of_the_schedule_switch_off_leave_an_interior(kind):
     s, u, d = kind.sym("s"), kind.sym("u"), kind.sym("d", 2)
+    rows = ca.vertcat(d[0] * (s - 1), (1 - d[1]) * u, s - d[1], d[0] * s + u, d[0] * s + (d[1] - 1) * u)
     problem = OCP.from_expressions(
         state=s,
         action=u,
         stage=d,
         dynamics=s + u,
-        path_constraint=ca.vertcat(d[0] * (s - 1), (1 - d[1]) * u, s - d[1], d[0] * s + u),
+        path_constraint=rows,
         path_equality=d[0] * d[1] * u,
         schedule=[[0, 0], [2, 1], [0, 1], [3, 0.5]],
         horizon=3,
     )
-    np.testing.assert_array_equal(problem.live.path, [[0, 1, 1, 1], [1, 0, 1, 1], [0, 0, 1, 1]])
+    found = np.array(problem.path(np.full((1, 4), 0.3), np.full((1, 3), 0.7), [], [])).T
+    expected = [[-1, 0.7, 0.3, 0.7, -0.7], [2 * -0.7, -1, -0.7, 1.3, 0.6], [-1, -1, -0.7, 0.7, -1]]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(problem.live.path_equality, [[0], [1], [0]])
-    np.testing.assert_array_equal(problem.live.terminal, [1, 1])  # the rows 0 and 2, with the last row of the schedule
+    last = np.array(problem.terminal_inequality([0.3], [], [], [3, 0.5])).ravel()  # of the rows 0 and 2
+    np.testing.assert_allclose(last, [3 * -0.7, 0.3 - 0.5])
+    again = replace(problem, horizon=3)
+    np.testing.assert_array_equal(np.array(again.path(np.full((1, 4), 0.3), np.full((1, 3), 0.7), [], [])).T, found)
 
 
-def test_a_row_that_is_switched_off_has_no_multiplier_and_leaves_an_interior():
+@pytest.mark.parametrize("solver", [Riccati(), Ipopt(), Fatrop(), SQP()], ids=lambda solver: type(solver).__name__)
+def test_a_row_that_is_switched_off_pushes_nowhere(solver):
     late = np.arange(T + 1)[:, None] >= 6
-    switched = state(stage=D, path_constraint=D * (S[0] - 0.4), schedule=late)
-    found = Ipopt().solve(switched, [0.0, 0.0])
+    found = solver.solve(state(stage=D, path_constraint=D * (S[0] - 0.4), schedule=late), [0.0, 0.0])
     assert found.status is Status.CONVERGED
-    np.testing.assert_array_equal(found.multipliers.path[:6], 0)
+    np.testing.assert_allclose(found.multipliers.path[:6], 0, rtol=0, atol=1e-7)
     bounds = np.where(late, [0.4, np.inf], np.inf)
     expected = Ipopt().solve(state(state_bounds=(-np.inf, bounds)), [0.0, 0.0])
-    np.testing.assert_allclose(found.states, expected.states, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found.states, expected.states, rtol=0, atol=1e-6)
 
 
 def test_bounds_survive_another_horizon_where_they_are_the_same_at_every_stage():

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.loss import demonstrated_observations
 from kpirl_ocp.ocp.conditions.program import transcribe
-from kpirl_ocp.ocp.problem.layout import equality_multipliers, given, limits, live_inequalities, pack
+from kpirl_ocp.ocp.problem.layout import equality_multipliers, given, limits, n_inequalities, pack
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, Solver
 from kpirl_ocp.types import Array, Demonstration
@@ -61,7 +61,7 @@ def single_level(
     Raises:
         ProblemError: bounds or inequalities, as complementarity is no equation that Ipopt could solve.
     """
-    if live_inequalities(problem).any() or np.isfinite(limits(problem)).any():
+    if n_inequalities(problem) or np.isfinite(limits(problem)).any():
         raise ProblemError("single-level IOC knows no inequalities: pass problem.unconstrained().")
     if not demonstrations:
         raise ProblemError("learning needs at least one demonstration.")

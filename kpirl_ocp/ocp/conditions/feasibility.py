@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.conditions.program import limits_from, transcribe
+from kpirl_ocp.ocp.problem.layout import n_inequalities
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, largest
 
@@ -31,7 +32,7 @@ def _infeasible_near(problem: OCP, w: Array, s0: Array, psi: Array, context: Arr
     solver, values = _least_violation(problem)
     lower, upper = limits_from(problem, s0)
     p = np.concatenate([psi, context])
-    _, g_I = np.split(np.array(values(w, p)).ravel(), [transcribe(problem).live[0].sum()])
+    _, g_I = np.split(np.array(values(w, p)).ravel(), [transcribe(problem).n_equalities])
     slack, n_w = np.maximum(-g_I, 0.0), len(w)
     found = solver(
         x0=np.concatenate([w, slack]),
@@ -51,7 +52,7 @@ def _least_violation(problem: OCP) -> tuple[ca.Function, ca.Function]:
     program = transcribe(problem)
     w, *numbers = program.symbols
     p, rows = ca.vertcat(*numbers), program.rows
-    slack = ca.MX.sym("y", int(program.live[1].sum()))
+    slack = ca.MX.sym("y", n_inequalities(problem))
     violation = rows + ca.vertcat(ca.MX(rows.numel() - slack.numel(), 1), slack)
     quiet = {"print_time": False, "show_eval_warnings": False}
     settings = {"tol": 1e-8, "max_iter": 200, "print_level": 0, "sb": "yes", "bound_relax_factor": 0.0}

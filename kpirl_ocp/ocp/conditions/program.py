@@ -23,7 +23,6 @@ from kpirl_ocp.ocp.problem.layout import (
     lengths,
     limits,
     live_equalities,
-    live_inequalities,
     unpack,
     unpack_multipliers,
 )
@@ -39,29 +38,34 @@ class Program:
     symbols: w, psi, c.
     values: -> J, g_E (n_eq,), g_I (n_ineq,).
     first: also of (lambda (n_eq,), mu (n_ineq,)) -> gradient of J, and of J + lambda.g_E + mu.g_I, by w.
-    live: (n_eq,) and (n_ineq,) True for rows that are not switched off.
+    live: (n_eq,) True for equalities that are not switched off.
     """
 
     symbols: list[ca.MX]
     values: ca.Function
     first: ca.Function
-    live: tuple[Mask, Mask]
+    live: Mask
+    n_inequalities: int
+
+    @property
+    def n_equalities(self) -> int:
+        """Number of live equalities."""
+        return int(self.live.sum())
 
     @property
     def rows(self) -> ca.MX:
-        """g, the live rows of g_E and then of g_I: an expression of the symbols."""
-        _, *parts = self.values(*self.symbols)
-        return ca.vertcat(*(selected(part, on) for part, on in zip(parts, self.live, strict=True)))
+        """g, the live rows of g_E and then g_I: an expression of the symbols."""
+        _, equalities, inequalities = self.values(*self.symbols)
+        return ca.vertcat(selected(equalities, self.live), inequalities)
 
     @property
     def lower(self) -> Array:
         """Lower bounds of g, zero or minus infinity; the upper ones are all zero."""
-        return np.repeat([0.0, -np.inf], [on.sum() for on in self.live])
+        return np.repeat([0.0, -np.inf], [self.n_equalities, self.n_inequalities])
 
     def multipliers(self, known: Multipliers) -> Array:
-        """(lambda, mu) of the live rows."""
-        parts = equality_multipliers(known), inequality_multipliers(known)
-        return np.concatenate([part[on] for part, on in zip(parts, self.live, strict=True)])
+        """(lambda, mu) of g."""
+        return np.concatenate([equality_multipliers(known)[self.live], inequality_multipliers(known)])
 
 
 @lru_cache(maxsize=64)
@@ -89,7 +93,8 @@ def transcribe(problem: OCP) -> Program:
         symbols=symbols,
         values=ca.Function("values", symbols, [ca.densify(x) for x in (objective, g_E, g_I)]),
         first=ca.Function("first", [*symbols, lam, mu], slopes),
-        live=(live_equalities(problem), live_inequalities(problem)),
+        live=live_equalities(problem),
+        n_inequalities=g_I.numel(),
     )
 
 

@@ -63,9 +63,9 @@ def bound_multipliers(multipliers: Multipliers) -> Array:
 def unpack_multipliers(problem: OCP, nu: Array, lam: Array, mu: Array) -> Multipliers:
     """The multipliers of bounds, equalities and inequalities as named arrays.
 
-    Zero for given entries of s_0. lam and mu may be those of live rows alone; then the others are zero, too.
+    Zero for given entries of s_0. lam may be that of live rows alone; then the others are zero, too.
     """
-    lam, mu = _spread(lam, live_equalities(problem)), _spread(mu, live_inequalities(problem))
+    lam = _spread(lam, live_equalities(problem))
     steps = problem.horizon
     bounds = unpack(problem, np.where(given(problem), 0.0, nu))
     dynamics, path_equality, terminal_equality = _split(
@@ -89,14 +89,14 @@ def live_equalities(problem: OCP) -> Mask:
     return np.concatenate([dynamics, problem.live.path_equality.ravel(), problem.live.terminal_equality])
 
 
-def live_inequalities(problem: OCP) -> Mask:
-    """(n_ineq,) the same of mu."""
-    return np.concatenate([problem.live.path.ravel(), problem.live.terminal])
+def n_inequalities(problem: OCP) -> int:
+    """Length of mu."""
+    return problem.horizon * problem.n_path + problem.n_terminal
 
 
 def lengths(problem: OCP) -> tuple[int, int, int]:
     """n_w, n_eq and n_ineq."""
-    return len(given(problem)), len(live_equalities(problem)), len(live_inequalities(problem))
+    return len(given(problem)), len(live_equalities(problem)), n_inequalities(problem)
 
 
 def by_stage(states: Array, actions: Array) -> Array:

@@ -9,7 +9,8 @@ psi are the learned parameters, c is the context of one demonstration, and d_t, 
 from stage to stage (a time basis, a reference, a step length), so that one stage function serves all stages.
 
 Rows of h that do not depend on the action hold at s_T too, with d_T: `OCP.terminal_inequality` lists them before those
-of h_T. s_0 is given, and then not bounded; or it is free within `initial_bounds`, entry by entry.
+of h_T. Rows of h and h_T that zeros and ones of d_t switch off, such as d_t g, have the value -1 there. s_0 is given,
+and then not bounded; or it is free within `initial_bounds`, entry by entry.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from kpirl_ocp.ocp.problem.statement.checks import (
 from kpirl_ocp.ocp.problem.statement.complete import complete
 from kpirl_ocp.ocp.problem.statement.draft import Additions, Draft
 from kpirl_ocp.ocp.problem.statement.soft import Soft
+from kpirl_ocp.ocp.problem.statement.switches import with_interior
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.types import Trajectory
 
@@ -84,6 +86,8 @@ class OCP(Arrays):
         object.__setattr__(self, "horizon", horizon_of(self.horizon))
         object.__setattr__(self, "schedule", schedule_of(self.schedule, self.horizon))
         self._check_signatures(np.asarray(self.schedule).shape[1])
+        for name in ("path_constraint", "terminal_constraint"):
+            object.__setattr__(self, name, with_interior(getattr(self, name), np.asarray(self.schedule)))
         steps, n_s, n_u = self.horizon, self.n_states, self.n_actions
         shapes = {"action_bounds": (steps, n_u), "state_bounds": (steps + 1, n_s), "initial_bounds": (n_s,)}
         for name, shape in shapes.items():

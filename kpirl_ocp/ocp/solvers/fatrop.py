@@ -220,7 +220,7 @@ def _blocks(problem: OCP, s0: ca.MX, point: Sequence[ca.MX]) -> Iterator[tuple[i
         if t == 0:
             yield t, "start", selected(states[:, 0] - s0, ~problem.free_start)
         yield t, "path_equality", selected(equalities[:, t], live.path_equality[t])
-        yield t, "path", selected(path[:, t], live.path[t])
-    ends = {"terminal_equality": problem.terminal_equality, "terminal": problem.terminal_inequality}
-    for name, function in ends.items():
-        yield problem.horizon, name, selected(problem.at_end(function, *point), getattr(live, name))
+        yield t, "path", path[:, t]
+    last = problem.at_end(problem.terminal_equality, *point)
+    yield problem.horizon, "terminal_equality", selected(last, live.terminal_equality)
+    yield problem.horizon, "terminal", problem.at_end(problem.terminal_inequality, *point)

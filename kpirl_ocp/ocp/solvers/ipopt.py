@@ -82,7 +82,7 @@ class Ipopt:
     ) -> Solution:
         w, nu, lam = (np.array(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
         trajectory = trajectory_of(problem, w, s0)
-        multipliers = unpack_multipliers(problem, nu, *np.split(lam, [transcribe(problem).live[0].sum()]))
+        multipliers = unpack_multipliers(problem, nu, *np.split(lam, [transcribe(problem).n_equalities]))
         residuals, word = (
             audit(problem, psi, context, trajectory, multipliers, self.barrier),
             str(stats["return_status"]),

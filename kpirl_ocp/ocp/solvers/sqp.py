@@ -73,7 +73,7 @@ class SQP:
     ) -> Solution:
         w, nu, lam = (np.array(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
         trajectory = trajectory_of(problem, w, s0)
-        multipliers = unpack_multipliers(problem, nu, *np.split(lam, [transcribe(problem).live[0].sum()]))
+        multipliers = unpack_multipliers(problem, nu, *np.split(lam, [transcribe(problem).n_equalities]))
         residuals = audit(problem, psi, context, trajectory, multipliers)
         iterations, word = _statistics(solver)
         status = self._status(residuals.worst, iterations)

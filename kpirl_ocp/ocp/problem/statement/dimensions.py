@@ -11,16 +11,14 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED, Bounds
 from kpirl_ocp.ocp.problem.statement.draft import Additions
-from kpirl_ocp.ocp.problem.statement.live_rows import live_rows
+from kpirl_ocp.ocp.problem.statement.switches import live_rows
 from kpirl_ocp.types import Array, Indices, Mask
 
 
 class Live(NamedTuple):
-    """True for rows of constraints that the schedule does not switch off, as d_t = 0 does with a row d_t g."""
+    """True for equalities that the schedule does not switch off, as d_t = 0 does with a row d_t g."""
 
-    path: Mask
     path_equality: Mask
-    terminal: Mask
     terminal_equality: Mask
 
 
@@ -149,14 +147,9 @@ class Dimensions:
 
     @cached_property
     def live(self) -> Live:
-        """(T, n_h), (T, n_e), (n_gT,) and (n_eT,); rows that are not live constrain nothing, solvers leave them out."""
+        """(T, n_e) and (n_eT,); equalities that are not live constrain nothing, and solvers may leave them out."""
         d = np.asarray(self.schedule, float)
-        return Live(
-            live_rows(self.path_constraint, d[:-1]),
-            live_rows(self.path_equality, d[:-1]),
-            live_rows(self.terminal_inequality, d[-1:])[0],
-            live_rows(self.terminal_equality, d[-1:])[0],
-        )
+        return Live(live_rows(self.path_equality, d[:-1]), live_rows(self.terminal_equality, d[-1:])[0])
 
     @cached_property
     def dynamics_see_stage(self) -> bool:
