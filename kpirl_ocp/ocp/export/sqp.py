@@ -15,8 +15,8 @@ from kpirl_ocp.ocp.solvers.sqp import SQP, program
 
 def target(problem: OCP, solver: SQP) -> Target:
     """The generated solver, and first derivatives to audit what it found."""
-    live = transcribe(problem).live
-    places = np.flatnonzero(np.concatenate(live))
+    transcribed = transcribe(problem)
+    places = [*np.flatnonzero(transcribed.live), *len(transcribed.live) + np.arange(transcribed.n_inequalities)]
     rows = f"const int {PREFIX}_exported_rows[] = {{{', '.join(map(str, places))}}};"
     return Target(
         kind="sqp",
@@ -25,7 +25,7 @@ def target(problem: OCP, solver: SQP) -> Target:
         transition="dynamics",
         sources=("sqp.h", "sqp.c"),
         workspace="sqp.h",
-        macros={"N_ROWS": len(places), "N_EQUALITIES": int(live[0].sum())},
+        macros={"N_ROWS": len(places), "N_EQUALITIES": transcribed.n_equalities},
         data=f"\n/* see {PREFIX}_sqp.c */\nextern const int {PREFIX}_exported_rows[];\n{rows}\n",
         steps=0,
         max_iterations=solver.max_iterations,
@@ -40,10 +40,10 @@ def audit(problem: OCP) -> ca.Function:
     """(w, psi, c, multipliers of the live rows) -> J, the live rows, and the gradients of J and of the Lagrangian."""
     transcribed = transcribe(problem)
     inputs = dict(zip(("w", "psi", "context"), transcribed.symbols, strict=True))
-    inputs["multipliers"] = ca.MX.sym("multipliers", sum(int(on.sum()) for on in transcribed.live))
-    every = ca.MX.zeros(sum(map(len, transcribed.live)))
-    every[np.flatnonzero(np.concatenate(transcribed.live)).tolist()] = inputs["multipliers"]
-    lam, mu = every[: len(transcribed.live[0])], every[len(transcribed.live[0]) :]
+    n_live = transcribed.n_equalities
+    known = inputs["multipliers"] = ca.MX.sym("multipliers", n_live + transcribed.n_inequalities)
+    lam, mu = ca.MX.zeros(len(transcribed.live)), known[n_live:]
+    lam[np.flatnonzero(transcribed.live).tolist()] = known[:n_live]
     cost = transcribed.values(*transcribed.symbols)[0]
     by_cost, gradient = transcribed.first(*transcribed.symbols, lam, mu)
     outputs = {"cost": cost, "rows": transcribed.rows, "cost_gradient": by_cost, "gradient": gradient}
