@@ -41,7 +41,7 @@ def derivative(problem, solution):
         return by_w[:, ~fixed], np.hstack([by_psi, by_w[:, start] * fixed[start], by_context])
 
     (H, H_p), (A, A_p), (G, G_p) = (split(*blocks[i : i + 3]) for i in (0, 3, 6))
-    A, A_p = A[program.live[0]], A_p[program.live[0]]
+    A, A_p = A[program.live], A_p[program.live]
     H, H_p = H[~fixed], H_p[~fixed]
     rows = Inequalities.at(BoundRows.of(*limits(problem)), w, g.ravel())
     forces = rows.forces(nu, mu, solution.barrier)

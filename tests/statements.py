@@ -124,7 +124,7 @@ def partly_free_start(opti, X, U):
 
 
 def final_time(opti, X, U):
-    """A double integrator from rest to rest in minimum time."""
+    """A double integrator from rest to rest, weighing time against effort."""
     q = opti.variable()
     opti.set_initial(q, 3)
     given(opti, X)
@@ -135,7 +135,7 @@ def final_time(opti, X, U):
     for t in range(T):
         x, v, u = X[0, t], X[1, t], U[0, t]
         opti.subject_to(X[:, t + 1] == ca.vertcat(x + step * v + step**2 / 2 * u, v + step * u))
-    return q
+    return q + 0.05 * ca.sumsqr(U)
 
 
 def soft(opti, X, U):
@@ -229,7 +229,7 @@ CASES = {
             static=Q,
             static_bounds=(0.1, 10),
             dynamics=ca.vertcat(S[0] + STEP * S[1] + STEP**2 / 2 * U, S[1] + STEP * U),
-            stage_cost=0.0,
+            stage_cost=EFFORT * U**2,
             terminal_cost=Q,
             terminal_equality=S - ca.vertcat(2.5 * OWN, 0),
             action_bounds=(-1, 1),

@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from kpirl_ocp.ocp.problem.constraints import BoundRows
-from kpirl_ocp.ocp.problem.layout import by_stage, limits, live_equalities, live_inequalities, unpack
+from kpirl_ocp.ocp.problem.layout import by_stage, limits, live_equalities, n_inequalities, unpack
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Indices, Mask
 
@@ -78,12 +78,12 @@ def rows_of(problem: OCP) -> Rows:
     w = unpack(problem, np.arange(len(place), dtype=float))
     place[by_stage(w.states, w.actions).astype(np.intp)] = np.arange(len(place))
     live_e = live_equalities(problem)[problem.horizon * problem.n_states :]
-    live_h = live_inequalities(problem)
+    all_h = np.ones(n_inequalities(problem), bool)
     first_side = np.arange(len(listed.equal)) < listed.n_lower
     return Rows(
         problem=problem,
         bounds=replace(listed, entries=place[listed.entries]),
         free=np.flatnonzero(problem.free_start),
-        inequality=np.concatenate([~listed.equal, live_h, np.zeros(len(live_e), bool)]),
-        equality=np.concatenate([listed.equal & first_side, np.zeros(len(live_h), bool), live_e]),
+        inequality=np.concatenate([~listed.equal, all_h, np.zeros(len(live_e), bool)]),
+        equality=np.concatenate([listed.equal & first_side, ~all_h, live_e]),
     )
