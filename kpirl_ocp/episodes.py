@@ -128,8 +128,7 @@ def read_meta(directory: Path) -> dict[str, Any]:
         meta = json.loads(path.read_text())
     except FileNotFoundError:
         raise EpisodeError(
-            f"{path} does not exist: make demonstrations with scripts/make_demonstrations.py, camera data with "
-            "scripts/collect_data.py."
+            f"{path} does not exist: make demonstrations with `kpirl demonstrate`, camera data with `kpirl collect`."
         ) from None
     except (OSError, ValueError) as error:
         raise EpisodeError(f"{path} cannot be read as JSON: {error}") from error

@@ -1,14 +1,5 @@
 """The exceptions of the toolkit: one small tree, every message names the fault and a remedy."""
 
-import difflib
-from collections.abc import Iterable
-
-
-def suggestion(word: str, known: Iterable[str]) -> str:
-    """ ": did you mean X?" with the nearest of the known names, or nothing if none is near."""
-    near = difflib.get_close_matches(word, list(known), n=1)
-    return f": did you mean {near[0]!r}?" if near else ""
-
 
 class KpirlError(Exception):
     """Base of every error this package raises on purpose."""

@@ -1,63 +1,6 @@
-"""Plan with a learned cost on demonstrations it was not trained on, beside the Default cost and standing still."""
+"""Plan with a learned cost on demonstrations that it was not trained on: `kpirl evaluate`."""
 
-import argparse
-from pathlib import Path
-
-import numpy as np
-
-from kpirl_ocp import figures
-from kpirl_ocp.episodes import Episode, read_episodes
-from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.cases.cost_files import LearnedCost
-from kpirl_ocp.irl.cases.tasks import as_demonstration
-from kpirl_ocp.irl.learning.evaluation import evaluate
-from kpirl_ocp.ocp.models import Default, KeypointCost, Robot
-from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
-from kpirl_ocp.reporting import output_directory, run, table, write_metrics
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cost", type=Path, default=Path("out/learn_cost/cost.json"), help="from learn_cost.py")
-    parser.add_argument("--demonstrations", type=Path, required=True, help="directory from make_demonstrations.py")
-    parser.add_argument("--out", default="out/evaluate", help="directory to write (default: %(default)s)")
-    args = parser.parse_args()
-
-    learned, robot = LearnedCost.read(args.cost), Robot.iiwa()
-    episodes, meta = read_episodes(args.demonstrations, Episode)
-    if any(episode.horizon != learned.horizon for episode in episodes):
-        raise ProblemError(f"{args.cost} plans {learned.horizon} steps; {args.demonstrations} has other lengths.")
-    tests = [as_demonstration(robot, episodes[index]) for index in meta.get("test", range(len(episodes)))]
-
-    # Default moves as far as the learned cost may: the same gradient steps, or the same mean effort.
-    effort = learned.cost.weights(learned.psi, learned.horizon, 3 * robot.n_keypoints)[1]
-    fixed = 0.0 if isinstance(learned.solver, GradientDescent) else float(effort.mean())
-    default = LearnedCost(KeypointCost(Default(), effort=fixed), np.zeros(0), learned.horizon, learned.solver)
-    results = {
-        name: evaluate(cost.problem(robot), cost.solver, cost.psi, tests)
-        for name, cost in (("learned", learned), ("Default", default))
-    }
-    still = [float(np.sum((demo.observations - demo.observations[0]) ** 2)) for demo in tests]
-    rows = [
-        [name, r.losses.mean(), r.losses.std(), r.relative_distances.mean(), r.relative_distances.std()]
-        for name, r in results.items()
-    ]
-    header = ["cost", "IRL loss [m²]", "std", "relative distance", "std"]
-    print(table(header, [*rows, ["standing still", np.mean(still), np.std(still), 1.0, 0.0]]))
-
-    out = output_directory(args.out)
-    figure, axes = figures.new_figure(1, 2)
-    for index, (name, result) in enumerate(results.items()):
-        for axis, values in zip(axes, (result.losses, result.relative_distances), strict=True):
-            positions = np.arange(1, len(tests) + 1) + 0.4 * index - 0.2
-            axis.bar(positions, values, 0.4, color=figures.COLOURS[index], label=name)
-    axes[0].set(ylabel="IRL loss [m²]", xlabel="test demonstration")
-    axes[1].set(ylabel="relative distance to the goal", xlabel="test demonstration")
-    axes[0].legend()
-    numbers = {name: {"losses": r.losses, "relative_distances": r.relative_distances} for name, r in results.items()}
-    print(f"\nnumbers: {write_metrics(out, vars(args), numbers | {'standing still': still})}")
-    print(f"figure:  {figures.save(figure, out / 'evaluation.png')}")
-
+from kpirl_ocp.cli.main import script
 
 if __name__ == "__main__":
-    run(main)
+    script("evaluate")

@@ -130,7 +130,7 @@ class House:
                 elif top == "kpirl_ocp":
                     wrong = layer is not None and self.layer(target) not in LAYERS[layer]
                 else:
-                    wrong = top in HEAVY and layer not in ("perception", "bridges", "viewing")
+                    wrong = top in HEAVY and layer not in ("perception", "bridges", "viewing", "cli")
                 if wrong:
                     yield f"{short(module)} -> {short(target)}"
 

@@ -2,19 +2,29 @@
 
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 import yaml
+from exported import STRICT, built
 
 import kpirl_ocp
-from kpirl_ocp.cli.main import COMMANDS
+from kpirl_ocp.cli.commands.export import SOLVERS as EXPORT_SOLVERS
+from kpirl_ocp.cli.commands.learn import OPTIMISERS
+from kpirl_ocp.cli.main import COMMANDS, options_of, run
+from kpirl_ocp.irl.cases.cost_files import BASES
+from kpirl_ocp.irl.cases.examples import CASES
+from kpirl_ocp.irl.cases.tasks import TASKS
+from kpirl_ocp.irl.visual.learning import COSTS
 
 PENDULUM = '''
 import casadi as ca
-from kpirl_ocp import OCP
+from kpirl_ocp import OCP, Ipopt
 
 def pendulum():
     """Length and weight of the effort are parameters."""
@@ -45,6 +55,11 @@ def impossible():
         horizon=3, action_bounds=(-1, 1), state_bounds=(9, 10))
     return problem, {"s0": 0}
 
+def seen():
+    """With a demonstration: what the plan for other parameters would look like."""
+    problem, numbers = pendulum()
+    return problem, numbers | {"observations": Ipopt().solve(problem, [0, 0], [0.7, 0.01]).states}
+
 def broken():
     return 1 / 0
 '''
@@ -56,11 +71,12 @@ def kpirl(*words, cwd=None):
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=cwd, env=environment)
 
 
-def sentence(result):
-    """The one line on stderr of a call that was refused."""
-    assert result.returncode == 2, result.stdout + result.stderr
-    assert result.stdout == ""
-    line, *rest = result.stderr.splitlines()
+def refusal(words, capsys):
+    """The one sentence on stderr with which a command line is refused."""
+    assert run(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    line, *rest = err.splitlines()
     assert rest == []
     assert line.startswith("error: ")
     return line.removeprefix("error: ")
@@ -95,18 +111,21 @@ print(sorted({{"numpy", "casadi", "pinocchio", "matplotlib", "scipy", "torch", "
     assert result.stdout.splitlines()[-1] == "[]"
 
 
-WRONG = {  # words, sentence
+WHOLE = "expected a whole number of at least"
+WRONG = {  # words, beginning of the sentence
     "solv": "there is no command 'solv': did you mean 'solve'? (see `kpirl --help`)",
-    "solve --steps -5": "--steps: expected a whole number of at least 1, got '-5'.",
-    "solve --steps 1.5": "--steps: expected a whole number of at least 1, got '1.5'.",
+    "solve --steps -5": f"--steps: {WHOLE} 1, got '-5'.",
+    "solve --steps 1.5": f"--steps: {WHOLE} 1, got '1.5'.",
     "solve --move nan 0 0": "--move: expected a finite number, got 'nan'.",
     "solve --move 0 -inf 0": "--move: expected a finite number, got '-inf'.",
     "solve --move 1 2": "--move: expected 3 arguments.",
-    "solve --horizon -3": "--horizon: expected a whole number of at least 1, got '-3'.",
-    "solve --horizon 0": "--horizon: expected a whole number of at least 1, got '0'.",
+    "solve --horizon -3": f"--horizon: {WHOLE} 1, got '-3'.",
+    "solve --horizon 0": f"--horizon: {WHOLE} 1, got '0'.",
     "solve --effort -1": "--effort: expected a finite number of at least 0, got '-1'.",
     "solve --max-displacement 0": "--max-displacement: expected a finite number above 0, got '0'.",
+    "solve --step-size 1e-400": "--step-size: expected a finite number above 0, got '1e-400'.",
     "solve --hrizon 3": "there is no option --hrizon: did you mean '--horizon'?",
+    "solve --hor 3": "there is no option --hor",
     "solve --solver ricati": "--solver: expected one of riccati, ipopt, fatrop, sqp, gradient, got 'ricati': "
     "did you mean 'riccati'?",
     "solve --config nowhere.yaml": "--config: there is no file 'nowhere.yaml'.",
@@ -117,17 +136,136 @@ WRONG = {  # words, sentence
     "solve own.py:misspelt": "own.py:misspelt: no number is called 'contxt': did you mean 'context'?",
     "solve own.py:too_short": "own.py:too_short: psi must be finite and of shape (2,), got [0.8].",
     "solve own.py:alone": "own.py:alone: it must return an OCP and a dictionary with its numbers, not OCP.",
-    "solve own.py:broken": "own.py:broken raised ZeroDivisionError: division by zero (line 35 of own.py)",
+    "solve own.py:broken": "own.py:broken raised ZeroDivisionError: division by zero (line 40 of own.py)",
     "solve own.py:pendulum --robot panda": "--robot is for the arm's problem, and own.py:pendulum is your own.",
-    "solve --robot iwa": "example-robot-data has no robot 'iwa'",
+    "solve --robot missing.urdf": "there is no URDF file missing.urdf.",
+    "solve --robot own.py": "own.py cannot be read as a URDF",
+    "solve --tool elbow": "the robot 'lbr_iiwa' has no link 'elbow'; its links are:",
     "solve --out own.py/x": "--out: cannot write to 'own.py/x': Not a directory.",
     "solve --out /proc/x": "--out: cannot write to '/proc/x': No such file or directory.",
+    "demonstrate --task plcing": "--task: expected one of placing, reaching, got 'plcing': did you mean 'placing'?",
+    "demonstrate --tests -3": f"--tests: {WHOLE} 0, got '-3'.",
+    "demonstrate --horizon 0": f"--horizon: {WHOLE} 1, got '0'.",
+    "demonstrate --seed -1": f"--seed: {WHOLE} 0, got '-1'.",
+    "learn --demonstrations nowhere": "--demonstrations: there is no directory 'nowhere'.",
+    "learn --demonstrations empty": "empty/meta.json does not exist: make demonstrations with `kpirl demonstrate`",
+    "learn --demonstrations . --task placing": "--demonstrations and --task exclude each other",
+    "learn --train 0": f"--train: {WHOLE} 1, got '0'.",
+    "learn --steps -1": f"--steps: {WHOLE} 0, got '-1'.",
+    "learn --inner-steps 0": f"--inner-steps: {WHOLE} 1, got '0'.",
+    "learn --step-size 0": "--step-size: expected a finite number above 0, got '0'.",
+    "learn --learning-rate nan": "--learning-rate: expected a finite number above 0, got 'nan'.",
+    "learn --method implicid": "--method: expected one of unrolled, implicit, got 'implicid': did you mean 'implicit'?",
+    "learn --cost wieghted": "--cost: expected one of weighted, time, rbf, got 'wieghted': did you mean 'weighted'?",
+    "learn --optimiser sgd": "--optimiser: expected one of adam, descent, lbfgs, got 'sgd'.",
+    "evaluate": "the following arguments are required: --demonstrations.",
+    "evaluate --demonstrations . --cost nowhere": "--cost: there is no file 'nowhere'.",
+    "evaluate --demonstrations . --cost own.py": "own.py is not a learned cost",
+    "compare --problem lrq": "--problem: expected one of iiwa, integrator, lqr, pendulum, got 'lrq': "
+    "did you mean 'lqr'?",
+    "compare --steps 1 0": f"--steps: {WHOLE} 1, got '0'.",
+    "compare --iterations 0": f"--iterations: {WHOLE} 1, got '0'.",
+    "compare own.py:seen --problem lqr": "--problem is an example, and FILE.py:FUNCTION your own: give one of them.",
+    "compare own.py:pendulum": "own.py:pendulum: a hypergradient needs parameters psi, and the observations",
+    "compare own.py:f": "own.py has no function 'f'.",
+    "export --horizon 0": f"--horizon: {WHOLE} 1, got '0'.",
+    "export --cost nowhere": "--cost: there is no file 'nowhere'.",
+    "export --prefix Arm": "--prefix: expected a prefix of small letters, digits and underscores, got 'Arm'.",
+    "export --solver converge": "--solver: expected one of real-time, converged, gradient-descent, sqp, "
+    "got 'converge': did you mean 'converged'?",
+    "export own.py:pendulum --cost own.py": "--cost is for a learned cost, and FILE.py:FUNCTION your own problem",
+    "export own.py:pendulum --horizon 3": "--horizon is for the placing model; another problem has a horizon",
+    "demo --cost TimDep": "--cost: expected one of TimeDep, Weighted, RBF, got 'TimDep': did you mean 'TimeDep'?",
+    "demo --iterations 0": f"--iterations: {WHOLE} 1, got '0'.",
+    "collect": "the following arguments are required: MOTION.",
+    "collect keypoint": "MOTION: expected one of keypoints, sines, placing, reaching, hand-placing, hand-wandering, "
+    "got 'keypoint': did you mean 'keypoints'?",
+    "collect sines --episodes 0": f"--episodes: {WHOLE} 1, got '0'.",
+    "collect sines --jobs 0": f"--jobs: {WHOLE} 1, got '0'.",
+    "collect sines --amplitude -1": "--amplitude: expected a finite number of at least 0, got '-1'.",
+    "train-keypoints --data nowhere": "--data: there is no directory 'nowhere'.",
+    "train-keypoints --data . --preset ful": "--preset: expected one of tiny, default, full, minderer, got 'ful': "
+    "did you mean 'full'?",
+    "train-keypoints --data . --videos nowhere": "--videos: there is no file or directory 'nowhere'.",
+    "train-keypoints --data . --threads 0": f"--threads: {WHOLE} 1, got '0'.",
+    "train-dynamics": "the following arguments are required: --detector, --data, --test.",
+    "train-dynamics --detector nowhere": "--detector: there is no file 'nowhere'.",
+    "train-dynamics --activation rlu": "--activation: expected one of relu, tanh, softplus, silu, got 'rlu': "
+    "did you mean 'relu'?",
 }
 
 
 @pytest.mark.parametrize("words", WRONG)
-def test_wrong_input_is_one_sentence(words, own):
-    assert sentence(kpirl(*words.split(), cwd=own.parent)).startswith(WRONG[words])
+def test_wrong_input_is_one_sentence(words, own, monkeypatch, capsys):
+    monkeypatch.chdir(own.parent)
+    (own.parent / "empty").mkdir()
+    assert refusal(words.split(), capsys).startswith(WRONG[words])
+
+
+@pytest.mark.parametrize("robot", ["iwa", "pnada"])
+def test_a_misspelt_robot_is_answered_with_the_nearest(robot, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("kpirl_ocp.ocp.models.robot_files").example_urdf("panda")  # without the extra: another sentence
+    monkeypatch.chdir(tmp_path)
+    nearest = {"iwa": "iiwa", "pnada": "panda"}[robot]
+    expected = f"example-robot-data has no robot {robot!r}: did you mean {nearest!r}?"
+    assert refusal(["solve", "--robot", robot], capsys) == expected
+
+
+@pytest.mark.parametrize(
+    ("words", "beginning"),
+    [
+        (
+            "collect sines --swing 0.1",
+            "--swing is not for sines, which has --rate, --surroundings, --steps, --amplitude, --others.",
+        ),
+        ("train-keypoints --data empty", "empty/meta.json does not exist"),
+    ],
+)
+def test_wrong_input_of_the_camera_is_one_sentence(words, beginning, tmp_path, monkeypatch, capsys):
+    for package in ("cv2", "pybullet", "torch"):
+        pytest.importorskip(package)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    assert refusal(words.split(), capsys).startswith(beginning)
+
+
+def test_a_missing_package_is_a_sentence_with_the_extra_that_brings_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in [name for name in sys.modules if name.startswith(("kpirl_ocp.cli.commands", "kpirl_ocp.perception"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    sentence = refusal(["train-dynamics", "--detector", __file__, "--data", ".", "--test", "."], capsys)
+    assert (
+        sentence == '`kpirl train-dynamics` needs torch, which is not installed: pip install "kpirl-ocp[perception]".'
+    )
+
+
+def test_the_names_that_options_accept_are_those_of_the_package():
+    accepted = {
+        "learn TASKS": set(TASKS),
+        "learn COSTS": BASES.keys() - {"default"},
+        "learn OPTIMISERS": OPTIMISERS.keys(),
+        "compare PROBLEMS": CASES.keys(),
+        "export SOLVERS": EXPORT_SOLVERS.keys(),
+        "demo COSTS": COSTS.keys(),
+    }
+    for place, names in accepted.items():
+        command, name = place.split()
+        assert set(getattr(options_of(command), name)) == names, place
+
+
+def test_the_names_that_options_of_the_camera_accept_are_those_of_the_package():
+    for package in ("cv2", "pybullet", "torch"):
+        pytest.importorskip(package)
+    from kpirl_ocp.perception.data.motions import MOTIONS
+    from kpirl_ocp.perception.detector.training import PRESETS
+    from kpirl_ocp.perception.dynamics.model import ACTIVATIONS
+
+    assert set(options_of("collect").MOTIONS) == MOTIONS.keys()
+    assert set(options_of("train-keypoints").PRESETS) == PRESETS.keys()
+    assert set(options_of("train-dynamics").ACTIVATIONS) == ACTIVATIONS.keys()
+    settings = {field.name: field for motion in MOTIONS.values() for field in fields(motion)}
+    assert options_of("collect").SETTINGS.keys() == settings.keys()
 
 
 def test_an_own_problem_is_solved_and_its_numbers_are_written(own, tmp_path):
@@ -179,11 +317,93 @@ CONFIGS = {  # text, sentence
 
 
 @pytest.mark.parametrize("text", CONFIGS)
-def test_a_wrong_file_of_options_is_one_sentence(text, tmp_path):
+def test_a_wrong_file_of_options_is_one_sentence(text, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "config.yaml").write_text(text)
-    assert sentence(kpirl("solve", "--config", "config.yaml", cwd=tmp_path)).startswith(CONFIGS[text])
+    assert refusal(["solve", "--config", "config.yaml"], capsys).startswith(CONFIGS[text])
 
 
-def test_quiet_prints_nothing(tmp_path):
-    result = kpirl("solve", "--quiet", "--horizon", "3", "--out", tmp_path)
+def test_required_options_may_come_from_a_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "config.yaml").write_text("demonstrations: .\ncost: nowhere\n")
+    assert refusal(["evaluate", "--config", "config.yaml"], capsys) == (
+        "config.yaml: --cost: there is no file 'nowhere'."
+    )
+    (tmp_path / "config.yaml").write_text("motion: sine\n")
+    assert refusal(["collect", "--config", "config.yaml"], capsys).startswith("config.yaml: MOTION: expected one of")
+    (tmp_path / "config.yaml").write_text("motion: sines\njobs: 0\n")
+    assert refusal(["collect", "--config", "config.yaml"], capsys).startswith("config.yaml: --jobs: expected")
+
+
+@pytest.mark.parametrize("words", ["solve --horizon 3", "learn --steps 2 --train 1", "demonstrate --tests 0"])
+def test_quiet_prints_nothing(words, tmp_path):
+    result = kpirl(*words.split(), "--quiet", "--out", tmp_path)
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+def interrupted(words, tmp_path, sign):
+    """Exit code, and lines on stderr but for progress, of a command that gets Ctrl-C when `sign` is seen there."""
+    command = [sys.executable, "-m", "kpirl_ocp.cli", *words, "--out", str(tmp_path)]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment, start_new_session=True
+    )
+    seen = b""
+    while sign not in seen and process.poll() is None:
+        seen += os.read(process.stderr.fileno(), 4096)
+    os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to the workers as well
+    _, rest = process.communicate(timeout=120)
+    lines = (seen + rest).decode().replace("\r", "\n").splitlines()
+    return process.returncode, [line for line in lines if line and "it/s" not in line and "%|" not in line]
+
+
+def test_interrupted_learning_keeps_the_best_cost(tmp_path):
+    words = ["learn", "--steps", "1000000", "--task", "reaching"]
+    code, (line,) = interrupted(words, tmp_path, b"best=")
+    assert code == 130
+    pattern = rf"interrupted: the best cost of (\d+) iterations is in {tmp_path}/cost.json; the same command goes on."
+    taken = int(re.fullmatch(pattern, line).group(1))
+    results = json.loads((tmp_path / "metrics.json").read_text())["results"]
+    assert json.loads((tmp_path / "cost.json").read_text())["psi"] == results["psi"]
+    assert yaml.safe_load((tmp_path / "config.yaml").read_text())["task"] == "reaching"
+    again = kpirl("learn", "--steps", taken + 2, "--task", "reaching", "--out", tmp_path)
+    assert again.returncode == 0, again.stderr
+    losses = json.loads((tmp_path / "metrics.json").read_text())["results"]["training_losses"]
+    assert losses[: taken + 1] == results["training_losses"]
+    assert len(losses) == taken + 3
+
+
+def test_an_interrupted_comparison_keeps_what_was_measured(tmp_path):
+    words = ["compare", "--problem", "lqr", "--steps", "1", "2", "3", "4", "5"]
+    code, (line,) = interrupted(words, tmp_path, b"| 1/17")
+    assert code == 130
+    kept = re.fullmatch(rf"interrupted: (\d+) of 17 measurements are in {tmp_path}/metrics.json.", line).group(1)
+    results = json.loads((tmp_path / "metrics.json").read_text())["results"]
+    assert len(results["measurements"]) == int(kept) >= 1
+
+
+def test_an_interrupted_collection_keeps_its_episodes_and_goes_on(tmp_path):
+    for package in ("cv2", "pybullet", "torch"):
+        pytest.importorskip(package)
+    code, lines = interrupted(["collect", "keypoints", "--frames", "2", "--episodes", "40"], tmp_path, b"| 1/40")
+    assert code == 130
+    assert lines == [f"interrupted: finished episodes are in {tmp_path}; the same command goes on."]
+    assert 1 <= len(list(tmp_path.glob("episode_*.npz"))) < 40
+
+
+def test_the_hypergradients_of_an_own_problem_are_compared(own, tmp_path):
+    words = ["compare", f"{own}:seen", "--steps", "1", "300", "--iterations", "2", "--out", tmp_path]
+    result = kpirl(*words)
+    assert result.returncode == 0, result.stderr
+    results = json.loads((tmp_path / "metrics.json").read_text())["results"]
+    assert results["finite_difference_agreement"] < 1e-4
+    errors = {(m["method"], m["steps"]): m["error"] for m in results["measurements"]}
+    assert errors["implicit (Riccati)", 0] < 1e-8
+    assert errors["unrolled", 300] < 1e-8 < errors["unrolled", 1]  # the estimated step size converges
+    assert (tmp_path / "hypergradients.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_controller_of_an_own_problem_passes_its_own_test(own, tmp_path):
+    result = kpirl("export", f"{own}:pendulum", "--solver", "gradient-descent", "--out", tmp_path / "c")
+    assert result.returncode == 0, result.stderr
+    assert "all agree" in built(tmp_path / "c", tmp_path / "c/test/test.c", *STRICT)

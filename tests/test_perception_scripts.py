@@ -147,10 +147,13 @@ def test_a_collection_that_was_killed_goes_on(tmp_path):
 
 WRONG = {
     "other settings": (["collect_data.py", "sines", "--episodes", 3, "--out", "{data}/keypoints"], "choose another"),
-    "negative seed": (["collect_data.py", "sines", "--episodes", 1, "--seed", -1], "a seed >= 0"),
-    "no data": (["train_keypoints.py", "--data", "nowhere"], "nowhere/meta.json does not exist"),
+    "negative seed": (
+        ["collect_data.py", "sines", "--episodes", 1, "--seed", -1],
+        "--seed: expected a whole number of at least 0",
+    ),
+    "no data": (["train_keypoints.py", "--data", "{data}"], "meta.json does not exist"),
     "no detector": (
-        ["train_dynamics.py", "--detector", "{data}/dynamics/dynamics.json", "--data", "x", "--test", "x"],
+        ["train_dynamics.py", "--detector", "{data}/dynamics/dynamics.json", "--data", "{data}", "--test", "{data}"],
         "dynamics.json: 'kind' must be 'kpirl_ocp.detector'",
     ),
 }

@@ -16,13 +16,24 @@ from importlib import import_module
 from pathlib import Path
 
 from kpirl_ocp.cli.parser import Parser, build_parser, write_config
-from kpirl_ocp.errors import KpirlError, OptionError, suggestion
+from kpirl_ocp.errors import DependencyError, KpirlError, OptionError
+from kpirl_ocp.spelling import suggestion
 from kpirl_ocp.version import __version__
 
 COMMANDS = (
     "solve",
+    "demonstrate",
+    "learn",
     "learn-video",
+    "evaluate",
+    "compare",
+    "export",
+    "demo",
+    "collect",
+    "train-keypoints",
+    "train-dynamics",
 )
+EXTRAS = {"av": "perception", "cv2": "perception", "pybullet": "perception", "torch": "perception", "onnx": "onnx"}
 USAGE = """usage: kpirl COMMAND [OPTIONS]
 
 Learn a cost over keypoints from demonstrations, and plan with it.
@@ -72,7 +83,11 @@ def _dispatch(words: list[str]) -> int:
 
 def options_of(command: str):  # type: ignore[no-untyped-def]
     """The module with the options of a command."""
-    return import_module(f"kpirl_ocp.cli.options.{command.replace('-', '_')}")
+    return _module("options", command)
+
+
+def _module(room: str, command: str):  # type: ignore[no-untyped-def]
+    return import_module(f"kpirl_ocp.cli.{room}.{command.replace('-', '_')}")
 
 
 def usage() -> str:
@@ -85,13 +100,24 @@ def _work(command: str, parser: Parser, args: argparse.Namespace) -> int:
     prepare_directory(args.out)
     with _hushed(args.quiet):
         try:
-            code = import_module(f"kpirl_ocp.cli.commands.{command.replace('-', '_')}").main(args) or 0
+            code, stopped = _module("commands", command).main(args) or 0, None
         except KeyboardInterrupt as stop:
-            saved = str(stop) or "nothing was saved"
-            print(f"interrupted: {saved}.", file=sys.stderr)
-            code = 130
+            code, stopped = 130, str(stop) or "nothing was saved"
+        except ModuleNotFoundError as error:
+            raise _missing(command, error) from error
     write_config(args.out / "config.yaml", parser, args)
+    if stopped:
+        print(f"interrupted: {stopped}.", file=sys.stderr)
     return code
+
+
+def _missing(command: str, error: ModuleNotFoundError) -> Exception:
+    package = (error.name or "").split(".")[0]
+    if package not in EXTRAS:
+        return error
+    return DependencyError(
+        f'`kpirl {command}` needs {package}, which is not installed: pip install "kpirl-ocp[{EXTRAS[package]}]"'
+    )
 
 
 def prepare_directory(path: Path) -> None:
@@ -110,8 +136,7 @@ def _hushed(quiet: bool) -> Iterator[None]:
     if not quiet:
         yield
         return
-    os.environ["TQDM_DISABLE"] = "1"  # read when tqdm is imported, which is when the work begins
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
         yield
 
 

@@ -13,7 +13,8 @@ from typing import Any, NoReturn
 import yaml
 
 from kpirl_ocp.cli.values import existing_file
-from kpirl_ocp.errors import OptionError, suggestion
+from kpirl_ocp.errors import OptionError
+from kpirl_ocp.spelling import suggestion
 
 _COMMON = ("config", "quiet", "help")
 

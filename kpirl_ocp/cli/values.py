@@ -7,7 +7,7 @@ from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from kpirl_ocp.errors import suggestion
+from kpirl_ocp.spelling import suggestion
 
 
 def whole(least: int) -> Callable[[str], int]:
@@ -65,6 +65,13 @@ def existing_file(word: str) -> Path:
     """A file to read."""
     if not Path(word).is_file():
         raise ArgumentTypeError(f"there is no file {word!r}")
+    return Path(word)
+
+
+def existing(word: str) -> Path:
+    """A file or directory to read."""
+    if not Path(word).exists():
+        raise ArgumentTypeError(f"there is no file or directory {word!r}")
     return Path(word)
 
 

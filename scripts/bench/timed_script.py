@@ -33,5 +33,9 @@ for module in list(sys.modules.values()):
         module.compiled = _timed
 
 result, sys.argv = Path(sys.argv[1]), sys.argv[2:]
-runpy.run_path(sys.argv[0], run_name="__main__")
+try:
+    runpy.run_path(sys.argv[0], run_name="__main__")
+except SystemExit as stop:
+    if stop.code:
+        raise
 result.write_text(json.dumps({"functions": len(spent), "compile_s": sum(spent)}))

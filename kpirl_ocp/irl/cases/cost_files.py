@@ -139,7 +139,7 @@ class LearnedCost:
                 rate=float(content.get("rate", 0.0)),
             )
         except FileNotFoundError:
-            raise FileError(f"{path} does not exist: learn a cost with scripts/learn_cost.py.") from None
+            raise FileError(f"{path} does not exist: learn a cost with `kpirl learn`.") from None
         except (KeyError, TypeError, ValueError) as error:
             raise FileError(f"{path} is not a learned cost: {error!r}.") from error
 

@@ -56,7 +56,7 @@ def read(folder: Path) -> dict[str, Any]:
     try:
         manifest = json.loads(path.read_text())
     except FileNotFoundError:
-        raise FileError(f"{path} does not exist: export a controller with export_c or scripts/export_mpc.py.") from None
+        raise FileError(f"{path} does not exist: export a controller with export_c or `kpirl export`.") from None
     except (OSError, ValueError) as error:
         raise FileError(f"{path} cannot be read: {error}.") from error
     found = manifest.get("format") if isinstance(manifest, dict) else None

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pinocchio as pin
 
-from kpirl_ocp.errors import DependencyError, RobotError, suggestion
+from kpirl_ocp.errors import DependencyError, RobotError
+from kpirl_ocp.spelling import suggestion
 
 REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 CONTINUOUS = ("JointModelRUBX", "JointModelRUBY", "JointModelRUBZ", "JointModelRevoluteUnboundedUnaligned")

@@ -16,7 +16,7 @@ _RATE = 5.0  # [Hz] at which a person's video is read
 
 
 def read_recordings(directory: str | Path) -> list[Recording]:
-    """The clips of a directory made by `scripts/collect_data.py`; those of a hand at 5 Hz."""
+    """The clips of a directory made by `kpirl collect`; those of a hand at 5 Hz."""
     directory = Path(directory)
     meta = read_meta(directory)
     if meta.get("robot") is None:

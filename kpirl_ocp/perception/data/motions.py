@@ -38,7 +38,7 @@ T = TypeVar("T", int, float)
 
 
 def setting(default: T, text: str, least: float = 1) -> T:
-    """A number of a motion that is an option of `scripts/collect_data.py`, with its help and its smallest value."""
+    """A number of a motion that is an option of `kpirl collect`, with its help and its smallest value."""
     value: T = field(default=default, metadata={"help": text, "least": least})
     return value
 

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.examples import CASES, Case, converging_descent, unconstrained
+from kpirl_ocp.irl.cases.own import load_own
 from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 from kpirl_ocp.irl.hypergradients.finite_difference import FiniteDifference
 from kpirl_ocp.irl.hypergradients.implicit import Implicit
@@ -19,8 +24,9 @@ from kpirl_ocp.irl.hypergradients.unrolled import Truncated, Unrolled
 from kpirl_ocp.irl.learning.learn import learn
 from kpirl_ocp.irl.learning.optimisers import Adam
 from kpirl_ocp.irl.learning.result import LearningResult
+from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
-from kpirl_ocp.types import Array
+from kpirl_ocp.types import Array, Demonstration
 
 TRUNCATION = 10  # steps that Truncated goes back
 
@@ -43,6 +49,39 @@ class Measurement:
     certificate: str
 
 
+@lru_cache
+def case_of(source: str) -> Case:
+    """An example by name, or a user's own problem by FILE.py:FUNCTION, without its constraints.
+
+    Raises:
+        ProblemError: the own problem comes without observations or parameters, or has no solution.
+    """
+    if source in CASES:
+        return unconstrained(CASES[source]())
+    own = load_own(source)
+    problem = own.problem.unconstrained()
+    if own.observations is None or own.psi.size == 0:
+        raise ProblemError(f"{source}: a hypergradient needs parameters psi, and the observations of a demonstration.")
+    demonstration = Demonstration(own.s0, own.context, own.observations)
+    step_size = own.step_size or 1 / largest_curvature(problem, demonstration, own.psi)
+    return Case(problem, demonstration, own.psi, step_size, steps=0)
+
+
+def largest_curvature(problem: OCP, demonstration: Demonstration, psi: Array, iterations: int = 30) -> float:
+    """The largest eigenvalue of the Hessian of the cost by the actions, at the solution; by power iteration."""
+    solution = Ipopt().solve(problem, demonstration.s0, psi, demonstration.context).raise_if_failed()
+    u, v = ca.MX.sym("u", solution.actions.size), ca.MX.sym("v", solution.actions.size)
+    actions = ca.reshape(u, problem.n_actions, problem.horizon)
+    states = problem.rollout(demonstration.s0, actions, psi, demonstration.context)
+    slope = ca.gradient(problem.cost(states, actions, psi, demonstration.context), u)
+    product = ca.Function("product", [u, v], [ca.jtimes(slope, u, v)])
+    direction, value = np.random.default_rng(0).normal(size=solution.actions.size), 0.0
+    for _ in range(iterations):
+        direction = np.array(product(solution.actions.ravel(), direction / np.linalg.norm(direction))).ravel()
+        value = float(np.linalg.norm(direction))
+    return value
+
+
 def methods(case: Case, steps: list[int]) -> Iterator[tuple[str, int, Hypergradient]]:
     """Name, N and hypergradient of everything that is compared; all flag, none raises."""
     for n in steps:
@@ -55,9 +94,10 @@ def methods(case: Case, steps: list[int]) -> Iterator[tuple[str, int, Hypergradi
 
 def reference(case: Case) -> tuple[Array, float]:
     """The gradient at a solution to 1e-12, certified, and how far finite differences are from it, relatively."""
-    exact = Implicit(Ipopt(tolerance=1e-12))(case.problem, case.demonstration, case.psi).gradient
-    independent = FiniteDifference(Ipopt(tolerance=1e-12))(case.problem, case.demonstration, case.psi).gradient
-    return exact, relative_error(independent, exact)
+    exact, quotients = Implicit(Ipopt(tolerance=1e-12)), FiniteDifference(Ipopt(tolerance=1e-12), policy="flag")
+    gradient = exact(case.problem, case.demonstration, case.psi).gradient
+    independent = quotients(case.problem, case.demonstration, case.psi).gradient
+    return gradient, relative_error(independent, gradient)
 
 
 def relative_error(gradient: Array, exact: Array) -> float:
@@ -65,20 +105,16 @@ def relative_error(gradient: Array, exact: Array) -> float:
     return float(np.linalg.norm(gradient - exact) / np.linalg.norm(exact))
 
 
-def measure_all(name: str, steps: list[int], done: Callable[[Measurement], None]) -> list[Measurement]:
-    """Measure every method on the example `name` without its constraints, each in a process of its own."""
-    exact, _ = reference(unconstrained(CASES[name]()))
-    count = len(list(methods(unconstrained(CASES[name]()), steps)))
-    results = []
-    for index in range(count):
-        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-            results.append(pool.submit(_measure, name, steps, index, exact).result())
-        done(results[-1])
-    return results
+def measure_all(source: str, steps: list[int], exact: Array) -> Iterator[Measurement]:
+    """Measure every method on a problem (see `case_of`), each in a process of its own; exact: the reference."""
+    for index in range(len(list(methods(case_of(source), steps)))):
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(1, spawn, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:  # Ctrl-C is for us
+            yield pool.submit(_measure, source, steps, index, exact).result()
 
 
-def _measure(name: str, steps: list[int], index: int, exact: Array) -> Measurement:
-    case = unconstrained(CASES[name]())
+def _measure(source: str, steps: list[int], index: int, exact: Array) -> Measurement:
+    case = case_of(source)
     label, n, method = list(methods(case, steps))[index]
     case.problem.simulate(case.demonstration.s0, np.zeros((case.problem.horizon, case.problem.n_actions)), case.psi)
     before = _reset_peak_memory()
@@ -112,9 +148,8 @@ def median_seconds(call: Callable[[], object], budget: float = 1.0, most: int = 
     return float(np.median(times))
 
 
-def learn_with_each(name: str, steps: list[int], iterations: int, learning_rate: float) -> dict[str, LearningResult]:
-    """Learn psi on the example `name` without its constraints: unrolled for each N, and implicit."""
-    case = unconstrained(CASES[name]())
+def learn_with_each(case: Case, steps: list[int], iterations: int, learning_rate: float) -> dict[str, LearningResult]:
+    """Learn psi: unrolled for each N, and implicit."""
     contenders: dict[str, Hypergradient] = {f"unrolled, N = {n}": Unrolled(converging_descent(case, n)) for n in steps}
     contenders["implicit (Riccati)"] = Implicit()
     results = {}

@@ -1,0 +1,27 @@
+"""Collect camera data."""
+
+from __future__ import annotations
+
+import warnings
+from argparse import Namespace
+from dataclasses import fields
+
+from kpirl_ocp.cli.options.collect import SETTINGS
+from kpirl_ocp.errors import OptionError
+from kpirl_ocp.perception.data.collection import collect
+from kpirl_ocp.perception.data.motions import MOTIONS
+
+
+def main(args: Namespace) -> None:
+    """Collect, or go on collecting."""
+    kind = MOTIONS[args.motion]
+    given = {name: getattr(args, name) for name in SETTINGS if getattr(args, name) is not None}
+    known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    for name in given.keys() - known:
+        options = ", ".join(f"--{other.replace('_', '-')}" for other in known)
+        raise OptionError(f"--{name.replace('_', '-')} is not for {args.motion}, which has {options}")
+    warnings.filterwarnings("ignore", message=".*still being processed by the workers have been cancelled")  # on Ctrl-C
+    try:
+        print(f"episodes: {collect(args.out, kind(**given), args.episodes or kind.episodes, args.seed, args.jobs)}")
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"finished episodes are in {args.out}; the same command goes on") from None

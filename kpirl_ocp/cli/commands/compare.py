@@ -1,0 +1,90 @@
+"""Compare the hypergradients on a problem: error, time, memory and certificate over N, and learning curves."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from kpirl_ocp import figures
+from kpirl_ocp.cli.options.compare import PROBLEMS
+from kpirl_ocp.errors import OptionError
+from kpirl_ocp.irl.learning.comparison import Measurement, case_of, learn_with_each, measure_all, methods, reference
+from kpirl_ocp.irl.learning.result import LearningResult
+from kpirl_ocp.reporting import table, write_metrics
+
+
+def as_row(measurement: Measurement, resolution: float) -> list[object]:
+    """Cells for a table; an error below `resolution`, to which the reference is known, is shown as that."""
+    return [
+        measurement.method,
+        measurement.steps or "-",
+        f"{measurement.error:.1e}" if measurement.error > resolution else f"< {resolution:.1e}",
+        f"{1e3 * measurement.seconds:.3f}",
+        f"{measurement.memory / 2**20:.1f}",
+        measurement.certificate.split(":")[0],
+    ]
+
+
+def draw(measurements: list[Measurement], learning: dict[str, LearningResult], resolution: float, path: Path) -> Path:
+    """`resolution`: the relative error to which the reference is known; smaller errors are drawn there."""
+    figure, axes = figures.new_figure(2, 2, width=5.0, height=3.6)
+    names = list(dict.fromkeys(m.method for m in measurements))
+    quantities = [("error", 1, "relative error"), ("seconds", 1e3, "time per gradient [ms]")]
+    quantities += [("memory", 2**-20, "peak memory, building included [MB]")]
+    for axis, (field, factor, label) in zip(axes, quantities, strict=False):
+        for colour, name in zip(figures.COLOURS, names, strict=False):
+            floor = resolution if field == "error" else 0.0
+            points = [(m.steps, max(floor, factor * getattr(m, field))) for m in measurements if m.method == name]
+            if points[0][0]:
+                axis.plot(*zip(*points, strict=True), ".-", color=colour, label=name)
+            else:
+                axis.axhline(points[0][1], color=colour, linestyle="--", label=name)
+        axis.set(xscale="log", yscale="log", xlabel="inner gradient steps N", ylabel=label)
+    axes[0].legend(fontsize=7)
+    for colour, (name, result) in zip(figures.COLOURS, learning.items(), strict=False):
+        axes[3].plot(result.seconds[1:], result.losses[1:], color=colour, label=name)
+    axes[3].set(xscale="log", yscale="log", xlabel="wall time [s]", ylabel="IRL loss, with its own inner loop")
+    axes[3].legend(fontsize=7)
+    for axis in axes:
+        axis.grid(alpha=0.3, which="both")
+    return figures.save(figure, path)
+
+
+def main(args: Namespace) -> None:
+    """Measure, learn with each, draw."""
+    if args.own and args.problem:
+        raise OptionError("--problem is an example, and FILE.py:FUNCTION your own: give one of them")
+    source = args.own or args.problem or PROBLEMS[0]
+    case = case_of(source)
+    exact, agreement = reference(case)
+    print(f"{source}: {len(exact)} parameters; finite differences agree with the reference to {agreement:.1e}")
+    results = {"reference": exact, "finite_difference_agreement": agreement, "step_size": case.step_size}
+    measurements = measure(source, args, results)
+    header = ["method", "N", "relative error", "time [ms]", "memory [MB]", "certificate"]
+    print("\n" + table(header, [as_row(m, agreement) for m in measurements]) + "\n")
+
+    some = [n for n in args.steps if n in (min(args.steps), max(args.steps), args.steps[len(args.steps) // 2])]
+    learning = learn_with_each(case, some, args.iterations, args.learning_rate)
+    rows = [[name, r.losses[0], r.loss, f"{r.seconds[-1]:.2f}"] for name, r in learning.items()]
+    print(table(["learning with", "first IRL loss", "best IRL loss", "time [s]"], rows))
+    results["learning"] = {name: {"losses": r.losses, "seconds": r.seconds} for name, r in learning.items()}
+    print(f"\nnumbers: {write_metrics(args.out, vars(args), results)}")
+    print(f"figure:  {draw(measurements, learning, agreement, args.out / 'hypergradients.png')}")
+
+
+def measure(source: str, args: Namespace, results: dict[str, object]) -> list[Measurement]:
+    """Measure all methods into `results`; interrupted, write those that are done."""
+    exact, done = np.asarray(results["reference"]), list[Measurement]()
+    total = len(list(methods(case_of(source), args.steps)))
+    try:
+        for measurement in tqdm(measure_all(source, args.steps, exact), "measuring", total, unit="method"):
+            done.append(measurement)
+            results["measurements"] = [asdict(m) for m in done]
+    except KeyboardInterrupt:
+        path = write_metrics(args.out, vars(args), results)
+        raise KeyboardInterrupt(f"{len(done)} of {total} measurements are in {path}") from None
+    return done

@@ -1,0 +1,88 @@
+"""Export a model-predictive controller as a folder of C99."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from kpirl_ocp.errors import OptionError
+from kpirl_ocp.irl.cases.cost_files import LearnedCost
+from kpirl_ocp.irl.cases.network_cases import placing_case
+from kpirl_ocp.irl.cases.own import load_own
+from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
+from kpirl_ocp.ocp.export import export_c
+from kpirl_ocp.ocp.models import Robot
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
+from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.ocp.solvers.sqp import SQP
+from kpirl_ocp.types import Array
+
+SOLVERS: dict[str, Solver] = {
+    "real-time": Riccati(steps=1, barrier=1e-2),
+    "converged": Riccati(1e-8),
+    "gradient-descent": GradientDescent(20, 1e-4, project=True),
+    "sqp": SQP(),
+}
+EXAMPLES = 5
+
+
+class Exported(NamedTuple):
+    """A problem to export: psi (n_psi,), examples of (s0, context), and the solver if none is asked for."""
+
+    problem: OCP
+    psi: Array
+    examples: list[tuple[Array, Array]]
+    solver: Solver
+
+
+def network(horizon: int, seed: int) -> Exported:
+    """The placing problem with random weights, and starts with goals within its training data."""
+    data = placing_case(horizon, steps=20, count=EXAMPLES, seed=seed)
+    examples = list(zip(data.s0, data.goal, strict=True))
+    return Exported(data.bounded, data.psi.ravel(), examples, SOLVERS["real-time"])
+
+
+def learned(path: Path, seed: int) -> Exported:
+    """The planning problem of a learned cost, and demonstrated starts with goals."""
+    cost, robot = LearnedCost.read(path), Robot.iiwa()
+    episodes = demonstrate(robot, "placing", EXAMPLES, seed, cost.horizon)
+    shown = [as_demonstration(robot, episode) for episode in episodes]
+    return Exported(cost.problem(robot), cost.psi, [(d.s0, d.context) for d in shown], cost.solver)
+
+
+def own(place: str) -> Exported:
+    """A user's own problem, with its own numbers as the only example."""
+    mine = load_own(place)
+    return Exported(mine.problem, mine.psi, [(mine.s0, mine.context)], SOLVERS["real-time"])
+
+
+def chosen(args: Namespace) -> Exported:
+    """The problem that the options ask for."""
+    if args.problem and args.cost:
+        raise OptionError("--cost is for a learned cost, and FILE.py:FUNCTION your own problem: give one of them")
+    if args.horizon and (args.problem or args.cost):
+        raise OptionError("--horizon is for the placing model; another problem has a horizon of its own")
+    if args.problem:
+        return own(args.problem)
+    return learned(args.cost, args.seed) if args.cost else network(args.horizon or 10, args.seed)
+
+
+def main(args: Namespace) -> None:
+    """Export, and say how to build."""
+    asked = chosen(args)
+    solver = SOLVERS[args.solver] if args.solver else asked.solver
+    problem = asked.problem
+    if isinstance(solver, GradientDescent) and not (args.problem or args.cost):  # it knows no joint limits
+        problem = replace(problem, state_bounds=UNBOUNDED)
+    folder = export_c(problem, solver, args.out, prefix=args.prefix, psi=asked.psi, examples=asked.examples)
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    print(f"{folder}: {len(list(folder.rglob('*.c')))} C files, {size / 1e6:.1f} MB\n")
+    print(
+        f"cmake -S {folder} -B {folder}/build && cmake --build {folder}/build && ctest --test-dir {folder}/build && "
+        f"{folder}/build/{args.prefix}_example"
+    )

@@ -1,0 +1,77 @@
+"""Train the dynamics of keypoints on recordings of the robot, seen through a trained detector."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from kpirl_ocp import figures
+from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.perception.detector.detector import KeypointDetector
+from kpirl_ocp.perception.detector.tracks import detect_tracks
+from kpirl_ocp.perception.dynamics.training import DynamicsScores, DynamicsSettings, score_dynamics, train_dynamics
+from kpirl_ocp.reporting import table, write_metrics
+from kpirl_ocp.types import Array
+
+
+def draw(scores: dict[str, DynamicsScores], curves: dict[str, Array], path: Path) -> Path:
+    """Training curves, and scores over the steps ahead."""
+    figure, axes = figures.new_figure(1, 1 + len(scores))
+    for colour, (name, values) in zip(figures.COLOURS, curves.items(), strict=False):
+        axes[0].semilogy(values, color=colour, label=name)
+    axes[0].set(title="training", xlabel="epoch", ylabel="NMSE")
+    for axis, (name, found) in zip(axes[1:], scores.items(), strict=True):
+        ahead = np.arange(1, len(found.model) + 1)
+        axis.semilogy(ahead, found.model.mean(axis=1), ".-", color=figures.COLOURS[0], label="model")
+        axis.semilogy(ahead, found.persistence.mean(axis=1), ".-", color=figures.GREY, label="nothing moves")
+        axis.set(title=f"test: {name}", xlabel="steps ahead", ylabel="NMSE")
+    for axis in axes:
+        axis.legend(fontsize=8)
+        axis.grid(alpha=0.3, which="both")
+    return figures.save(figure, path)
+
+
+def score_rows(name: str, found: DynamicsScores) -> list[list[object]]:
+    """Rows for one step and for the last step, coordinate by coordinate and in the mean."""
+    rows: list[list[object]] = []
+    for step in (0, len(found.model) - 1):
+        label, model, still = f"{name}, {step + 1} ahead", found.model[step], found.persistence[step]
+        pairs = enumerate(zip(model, still, strict=True))
+        rows += [[f"{label}, {'xy'[i % 2]} of {i // 2}", float(a), float(b), float(a / b)] for i, (a, b) in pairs]
+        rows.append([f"{label}, mean", float(model.mean()), float(still.mean()), float(model.mean() / still.mean())])
+    return rows
+
+
+def main(args: Namespace) -> None:
+    """Train, score, draw."""
+    torch.set_num_threads(1)
+    out = args.out
+    detector = KeypointDetector.load(args.detector)
+    names = ("activation", "steps", "epochs")
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    settings = replace(DynamicsSettings(), **given)
+    tracks = [track for directory in args.data for track in detect_tracks(detector, directory)]
+    tests = {Path(directory).name: detect_tracks(detector, directory) for directory in args.test}
+    shortest = min(len(track.actions) for held_out in tests.values() for track in held_out)
+    if not 1 <= args.ahead <= shortest:
+        raise ProblemError(f"--ahead must be from 1 to the {shortest} steps of the shortest test, got {args.ahead}.")
+    model, curves = train_dynamics(tracks, settings, args.seed)
+    scores = {name: score_dynamics(model, held_out, args.ahead) for name, held_out in tests.items()}
+
+    rows = [row for name, found in scores.items() for row in score_rows(name, found)]
+    print(table(["test", "NMSE", "nothing moves", "ratio"], rows))
+    write_metrics(out, vars(args) | asdict(settings), {"scores": {name: asdict(s) for name, s in scores.items()}})
+    card = {
+        "rate": float(1 / (tracks[0].times[1] - tracks[0].times[0])),
+        "training": asdict(settings) | {"seed": args.seed, "trajectories": len(tracks)},
+        "metrics": {
+            name: {"nmse": float(s.model[0].mean()), "persistence": float(s.persistence[0].mean())}
+            for name, s in scores.items()
+        },
+    }
+    print(f"\nmodel:  {model.save(out / 'dynamics.json', card)}")
+    print(f"figure: {draw(scores, curves, out / 'dynamics.png')}")

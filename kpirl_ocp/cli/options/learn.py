@@ -1,0 +1,39 @@
+"""Learn a cost from demonstrations, plan with it on those kept for testing, and show what was learned.
+
+unrolled: the paper's way; N gradient steps on the actions, differentiated.
+implicit: the planning problem is solved to the end with Riccati, and its optimality conditions are differentiated.
+
+Ctrl-C keeps the best cost so far, and the same command goes on from there.
+"""
+
+from argparse import ArgumentParser
+
+from kpirl_ocp.cli.values import existing_directory, one_of, real, whole
+
+TASKS = ("placing", "reaching")
+METHODS = ("unrolled", "implicit")
+COSTS = ("weighted", "time", "rbf")
+OPTIMISERS = ("adam", "descent", "lbfgs")
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Declare them."""
+    parser.add_argument(
+        "--demonstrations", type=existing_directory, metavar="DIR", help="directory from `kpirl demonstrate`"
+    )
+    parser.add_argument("--task", type=one_of(TASKS), help=f"or demonstrate {' or '.join(TASKS)} afresh (the first)")
+    parser.add_argument(
+        "--train", type=whole(1), default=1, help="demonstrations to learn from, the first (default: 1)"
+    )
+    parser.add_argument("--method", type=one_of(METHODS), default="unrolled", help="unrolled (default) or implicit")
+    parser.add_argument("--cost", type=one_of(COSTS), default="weighted", help="weighted (default), time or rbf")
+    parser.add_argument("--steps", type=whole(0), default=100, help="outer iterations (default: 100)")
+    parser.add_argument(
+        "--optimiser", type=one_of(OPTIMISERS), help="adam (default if unrolled), lbfgs (default if implicit), descent"
+    )
+    parser.add_argument("--learning-rate", type=real(above=0), default=1e-2, help="of adam and descent (default: 0.01)")
+    parser.add_argument("--inner-steps", type=whole(1), default=5, help="N of the unrolled method (default: 5)")
+    parser.add_argument(
+        "--step-size", type=real(above=0), default=1e-2, help="alpha of the unrolled method (default: 0.01)"
+    )
+    parser.add_argument("--seed", type=whole(0), default=0, help="demonstrations and starting weights (default: 0)")
