@@ -106,8 +106,8 @@ def _compiled_ipopt(case: ControlProblem, folder: Path) -> tuple[Callable[[], ob
     return (lambda: solver(**given)), int(solver.stats()["iter_count"])
 
 
-def _hpipm(case: ControlProblem) -> tuple[Callable[[], object], int]:
-    """HPIPM on the QP that a problem with linear dynamics and quadratic cost is."""
+def _hpipm(case: ControlProblem) -> tuple[Callable[[], object] | None, int]:
+    """HPIPM on the QP that a problem with linear dynamics and quadratic cost is; None where it does not converge."""
     problem, T = case.problem, case.problem.horizon
     n_s, n_u = problem.n_states, problem.n_actions
     x = [ca.MX.sym(f"x{t}", n_s + (n_u if t < T else 0)) for t in range(T + 1)]
@@ -131,6 +131,7 @@ def _hpipm(case: ControlProblem) -> tuple[Callable[[], object], int]:
             "nu": [n_u] * T + [0],
             "ng": [0] * (T + 1),
             "print_time": False,
+            "error_on_fail": False,
             "hpipm": {
                 "iter_max": 100,
                 "res_g_max": TOLERANCE,
@@ -145,6 +146,8 @@ def _hpipm(case: ControlProblem) -> tuple[Callable[[], object], int]:
     given = {"h": numbers[0], "g": numbers[1], "a": numbers[2], "lba": right, "uba": right, "lbx": lower, "ubx": upper}
     solver(**given)
     stats = solver.stats()
+    if not stats["success"]:
+        return None, 0
     return (lambda: solver(**given)), int(stats.get("iter_count", stats.get("n_iter", -1)))
 
 
