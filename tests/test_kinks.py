@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import OCP, Demonstration, Implicit
+from kpirl_ocp import OCP, Demonstration, GradientDescent, Implicit, Unrolled
 
 S, U, P = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("p")
 PLAIN = {"state": S, "action": U, "parameters": P, "dynamics": S + U, "horizon": 2}
@@ -91,3 +91,23 @@ def test_a_flat_direction_is_flagged_and_an_action_in_other_units_is_not(unit):
     flat = OCP.from_expressions(**given, stage_cost=(u[0] + u[1] / unit - P) ** 2 + S**2)
     assert certificate_of(round_, 1.0).certificate.certified
     assert "minimum" in str(certificate_of(flat, 1.0).certificate)
+
+
+@pytest.mark.parametrize(
+    ("problem", "psi", "observations", "loss", "certified"),
+    [
+        (WEIGHTED, 0.0, (0, 0.5, 1), None, False),
+        (WEIGHTED, 0.1, (0, 0.5, 1), None, True),
+        (STEPPED, 1.0, (0, 0.5, 1), None, False),
+        (FOLDED, 1.0, (1, 0.5, 1), None, False),
+        (FOLDED, 1.1, (1, 0.5, 1), None, True),
+        (FOLLOWING, 1.0, (0, 1, 2), distance, False),
+        (FOLLOWING, 1.1, (0, 1, 2), distance, True),
+    ],
+)
+def test_the_unrolled_gradient_is_flagged_where_psi_the_observation_or_the_loss_has_a_kink(
+    problem, psi, observations, loss, certified
+):
+    seen = Demonstration(np.zeros(1), np.zeros(0), np.reshape(observations, (3, 1)))
+    method = Unrolled(GradientDescent(200, 0.2), policy="flag", **({} if loss is None else {"loss": loss}))
+    assert method(problem, seen, [psi]).certificate.certified is certified

@@ -16,8 +16,6 @@ from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, require
 from kpirl_ocp.types import Array, Demonstration
 
-LOSS_KINK = "The loss or the observation sits on a kink at this plan: use smooth ones (squares, softplus, tanh)."
-
 
 class HypergradientResult(NamedTuple):
     """loss, gradient (n_psi,) and certificate."""

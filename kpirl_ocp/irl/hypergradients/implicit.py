@@ -11,32 +11,27 @@ pass over the stages (`kpirl_ocp.ocp.sensitivity`): O(T) in time and memory.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Literal
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import (
-    LOSS_KINK,
     HypergradientResult,
     enforce,
     nonfinite_failures,
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
-from kpirl_ocp.ocp.codegen.numpy_calls import call
+from kpirl_ocp.irl.hypergradients.smoothness import LossAt
 from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
-from kpirl_ocp.ocp.sensitivity.certificate import KINK, check_policy
-from kpirl_ocp.ocp.sensitivity.nearby_tests import kink_of_loss
+from kpirl_ocp.ocp.sensitivity.certificate import check_policy
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 from kpirl_ocp.ocp.solvers.riccati import Riccati
-from kpirl_ocp.types import Array, Demonstration, Solution
+from kpirl_ocp.types import Demonstration, Solution
 
 
 @dataclass(frozen=True)
@@ -85,36 +80,10 @@ def differentiate(
 
     derivatives: at the solution, where the solver ended with them.
     """
-    evaluate, data = call(problem, _loss_and_slopes(loss)), data_of(loss, problem, demonstration).T
+    evaluate = LossAt(problem, loss, data_of(loss, problem, demonstration))
+    value, *slopes = evaluate(by_stage(solution.states, solution.actions))
     at = sensitivity(problem, solution, "flag", derivatives)
-
-    def evaluated(x: Array) -> Array:
-        states, actions = split(x, problem.horizon, problem.n_states, problem.n_actions)
-        value, by_states, by_actions = evaluate(states, actions, data)
-        slopes = by_stage(by_states.reshape(states.shape), by_actions.reshape(actions.shape))
-        return np.concatenate([value, slopes])
-
-    point = by_stage(solution.states, solution.actions)
-    value, *slopes = evaluated(point)
     found = at.pull(*split(np.array(slopes), problem.horizon, problem.n_states, problem.n_actions))
     failures = (*nonfinite_failures(float(value), found.psi), *found.certificate.failures)
-    moving = np.append(
-        problem.free_start, np.ones(len(point) - problem.n_states, bool)
-    )  # psi does not move a given s_0
-    if np.isfinite(value) and kink_of_loss(evaluated, point, at.sizes * moving) > KINK:
-        failures = (*failures, LOSS_KINK)
+    failures = (*failures, *evaluate.kinks(solution.trajectory))
     return HypergradientResult(float(value), found.psi, replace(found.certificate, failures=failures))
-
-
-@lru_cache(maxsize=64)
-def _loss_and_slopes(loss: Loss) -> Callable[[OCP], ca.Function]:
-    """problem -> (S (n_s, T+1), U (n_u, T), data (n_data, T+1)) -> L, dL/dS (n_s, T+1), dL/dU (n_u, T)."""
-
-    def build(problem: OCP) -> ca.Function:
-        function = loss(problem)
-        states, actions, data = (ca.MX.sym("x", *function.size_in(i)) for i in range(3))
-        value = function(states, actions, data)
-        outputs = [value, ca.gradient(value, states), ca.gradient(value, actions)]
-        return ca.Function("loss_and_slopes", [states, actions, data], [ca.densify(x) for x in outputs])
-
-    return build

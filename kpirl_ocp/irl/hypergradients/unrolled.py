@@ -11,7 +11,7 @@ implicit gradient (Shaban et al., Truncated Back-propagation for Bilevel Optimiz
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import casadi as ca
@@ -25,6 +25,7 @@ from kpirl_ocp.irl.hypergradients.certificate import (
     nonfinite_failures,
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
+from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_function
@@ -151,8 +152,21 @@ def unrolled_gradients(
     observed = np.concatenate([data_of(loss, problem, demonstration).T for demonstration in demonstrations])
     evaluate = call_function(_function(problem, solver, loss, last, checkpoint, len(inputs)))
     (outputs,) = evaluate(actions, starts, psis, contexts, observed)
-    rows = zip(inputs, outputs.reshape(len(inputs), -1), strict=True)
-    return [_result(problem, solver, last, psi, context, output) for (_, psi, context), output in rows]
+    rows = zip(inputs, outputs.reshape(len(inputs), -1), demonstrations, strict=True)
+    return [
+        _with_kinks(problem, loss, demonstration, _result(problem, solver, last, psi, context, output))
+        for (_, psi, context), output, demonstration in rows
+    ]
+
+
+def _with_kinks(
+    problem: OCP, loss: Loss, demonstration: Demonstration, result: HypergradientResult
+) -> HypergradientResult:
+    """With a failure where the loss, or a function of psi, is not smooth at the last iterate."""
+    solution, data = result.certificate.solution, data_of(loss, problem, demonstration)
+    kinks = LossAt(problem, loss, data).kinks(solution.trajectory) + parameter_kinks(problem, solution)
+    certificate = replace(result.certificate, failures=(*result.certificate.failures, *kinks))
+    return result._replace(certificate=certificate)
 
 
 def _result(

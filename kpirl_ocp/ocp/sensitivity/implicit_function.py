@@ -32,6 +32,49 @@ class ByParameters(NamedTuple):
 
 
 @dataclass(frozen=True)
+class WeightedConditions:
+    """The sum of weights times the KKT conditions at a point, as a function of psi, s_0 and the context."""
+
+    instance: Instance
+    point: PrimalDual
+    weights: PrimalDual
+
+    def gradients(self, by_start: Array) -> ByParameters:
+        """Its derivatives; that by s_0 is given."""
+        by_psi, by_context = self.gradients_at(self.instance.psi, self.instance.context)
+        return ByParameters(by_psi, by_start, by_context)
+
+    def gradients_at(self, psi: Array, context: Array) -> tuple[Array, Array]:
+        """Those by psi and the context, taken at others than those of the instance."""
+        split, at, w = self.instance.rows.split, self.point, self.weights
+        by_psi, by_context = call(self.instance.problem, parameter_derivatives.pull)(
+            at.x, psi, context, at.costates, *split(at.forces)[1:], w.x, w.costates, *split(w.forces)[1:]
+        )
+        return by_psi, by_context
+
+    @property
+    def flat(self) -> Array:
+        """The weights of `conditions`."""
+        return np.concatenate(
+            [self.weights.x, self.weights.costates, self.weights.forces[self.instance.rows.n_bounds :]]
+        )
+
+    def conditions(self, direction: ByParameters, length: float) -> Array:
+        """Gradient of the Lagrangian, defects, path constraints and equalities when psi, s_0 and the context move."""
+        instance, free = self.instance, self.instance.problem.free_start
+        moved = replace(
+            instance,
+            psi=instance.psi + length * direction.psi,
+            s0=instance.s0 + length * direction.s0,
+            context=instance.context + length * direction.context,
+        )
+        x = self.point.x.copy()
+        x[: len(free)] += np.where(free, 0.0, length * direction.s0)
+        at = moved.values(replace(self.point, x=x))
+        return np.concatenate([at.gradient, at.defects, at.path, at.equality])
+
+
+@dataclass(frozen=True)
 class ImplicitFunction:
     """The linearised KKT conditions at a solution, factorised once for any number of products."""
 
@@ -47,41 +90,21 @@ class ImplicitFunction:
 
     def pull(self, adjoint: PrimalDual) -> ByParameters:
         """Gradients of a function of x, from the solution of its adjoint system (`Factorisation.adjoint`)."""
-        system, problem = self.system, self.system.instance.problem
-        by_start = -system.linear.balance([adjoint.x, adjoint.costates, adjoint.forces])[: problem.n_states]
-        by_start[problem.free_start] = 0.0
-        by_psi, by_context = self.pull_at(adjoint, system.instance.psi, system.instance.context)
-        return ByParameters(by_psi, by_start, by_context)
+        return ByParameters(*(-by for by in self.weighted(adjoint).gradients(self._by_start(adjoint))))
 
-    def pull_at(self, adjoint: PrimalDual, psi: Array, context: Array) -> tuple[Array, Array]:
-        """Gradients by psi and the context, taken at others than those of the solution."""
+    def weighted(self, adjoint: PrimalDual) -> WeightedConditions:
+        """The conditions, weighed by an adjoint; of smoothed rows with the change of their forces."""
         system = self.system
-        forces = self._changed_forces(adjoint)
-        changes = adjoint.x, adjoint.costates, *system.instance.rows.split(forces)[1:]
-        at, (z, nu) = system.point, system.instance.rows.split(system.point.forces)[1:]
-        by_psi, by_context = call(system.instance.problem, parameter_derivatives.pull)(
-            at.x, psi, context, at.costates, z, nu, *changes
-        )
-        return -by_psi, -by_context
+        forces = adjoint.forces
+        if system.instance.barrier > 0:
+            forces = forces + system.stiffness * system.linear.times(adjoint.x)
+        return WeightedConditions(system.instance, system.point, replace(adjoint, forces=forces))
 
-    def weights(self, adjoint: PrimalDual) -> Array:
-        """The weights of `conditions` in the gradients."""
-        forces = self._changed_forces(adjoint)[self.system.instance.rows.n_bounds :]
-        return np.concatenate([adjoint.x, adjoint.costates, forces])
-
-    def conditions(self, direction: ByParameters, length: float) -> Array:
-        """Gradient of the Lagrangian, defects, path constraints and equalities when psi, s_0 and the context move."""
-        instance, free = self.system.instance, self.system.instance.problem.free_start
-        moved = replace(
-            instance,
-            psi=instance.psi + length * direction.psi,
-            s0=instance.s0 + length * direction.s0,
-            context=instance.context + length * direction.context,
-        )
-        x = self.system.point.x.copy()
-        x[: len(free)] += np.where(free, 0.0, length * direction.s0)
-        at = moved.values(replace(self.system.point, x=x))
-        return np.concatenate([at.gradient, at.defects, at.path, at.equality])
+    def _by_start(self, adjoint: PrimalDual) -> Array:
+        """Derivative (n_s,) of the weighted conditions by the given entries of s_0."""
+        problem = self.system.instance.problem
+        balance = self.system.linear.balance([adjoint.x, adjoint.costates, adjoint.forces])
+        return np.where(problem.free_start, 0.0, balance[: problem.n_states])
 
     def push(self, direction: ByParameters) -> tuple[PrimalDual, float]:
         """Change of the solution when psi, s_0 and the context move, and the relative residual of its system.
@@ -96,10 +119,3 @@ class ImplicitFunction:
         values = np.concatenate([np.zeros(instance.rows.n_bounds), dpath, dequality])  # change of all rows
         right = -dr - system.linear.transposed_times(system.stiffness * values)
         return self.factors.solve(right, -ddefects, np.where(system.active, -values, 0.0), direction.s0)
-
-    def _changed_forces(self, adjoint: PrimalDual) -> Array:
-        """Changes of the rows' forces (n_rows,), of the smoothed ones too."""
-        system = self.system
-        if not system.instance.barrier > 0:
-            return adjoint.forces
-        return adjoint.forces + system.stiffness * system.linear.times(adjoint.x)

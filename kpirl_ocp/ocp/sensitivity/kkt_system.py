@@ -198,14 +198,15 @@ def linearise(
     if instance.barrier > 0:
         with np.errstate(divide="ignore", invalid="ignore"):
             stiffness = np.where(rows.inequality, instance.barrier / slack**2, 0.0)
-    linear = LinearSystem(rows, d, _sizes(rows, point.x))
+    linear = LinearSystem(rows, d, sizes_of(rows, point.x))
     if active is None:
         active = rows.equality if instance.barrier > 0 else _active(rows, linear, point, slack)
     linear.select(active, stiffness)
     return KKTSystem(instance, point, d, linear, slack, active, stiffness)
 
 
-def _sizes(rows: Rows, x: Array) -> Array:
+def sizes_of(rows: Rows, x: Array) -> Array:
+    """(n_w,) see `KKTSystem.sizes`."""
     largest = rows.largest_of_kind(np.maximum(np.abs(x), rows.largest_bound))
     return np.where(largest > _NOTHING, largest, 1.0)
 

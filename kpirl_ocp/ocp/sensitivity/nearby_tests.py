@@ -21,10 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageValues
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
-from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
-from kpirl_ocp.ocp.sensitivity.kkt_system import KKTSystem, PrimalDual
+from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, WeightedConditions
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, PrimalDual, sizes_of
+from kpirl_ocp.ocp.sensitivity.rows import rows_of
 from kpirl_ocp.types import Array
 
 _KNOWN = 1e-9  # relative accuracy to which no solution is known better
@@ -121,25 +123,43 @@ def _derivatives_along(system: KKTSystem, move: Array) -> list[Array]:
     ]
 
 
-def kink_in_parameters(function: ImplicitFunction, adjoint: PrimalDual, found: ByParameters) -> float:
-    """The same along psi, s_0 and the context, and the relative jump of gradients by them.
+def kink_in_parameters(weighted: WeightedConditions, by: ByParameters) -> float:
+    """The same along psi, s_0 and the context, and the relative jump of derivatives by them.
 
-    found: the gradients of `function` for that adjoint.
+    by: the derivatives of the weighted conditions.
     """
-    instance = function.system.instance
+    instance = weighted.instance
     moves = ByParameters(*(_steps(p) for p in (instance.psi, instance.s0, instance.context)))
-    expected = sum(float(by @ move) for by, move in zip(found, moves, strict=True))
-    total = sum(float(np.abs(by) @ np.abs(move)) for by, move in zip(found, moves, strict=True))
-    weights = function.weights(adjoint)
-    left, here, right = (function.conditions(moves, k * _DIFFERENCE) for k in (-1.0, 0.0, 1.0))
-    slopes = [-float(weights @ (one - other)) / _DIFFERENCE for one, other in ((right, here), (here, left))]
+    return _kink_in_parameters(weighted, by, moves)
+
+
+def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:
+    """The same along psi for random weights, at a plan x (n_w,) that need not be a solution."""
+    n_s, rows = problem.n_states, rows_of(problem)
+    numbers = len(x), problem.horizon * n_s, len(rows.equality)
+    instance, sizes = Instance(problem, x[:n_s], psi, context), sizes_of(rows, x)
+    one, costates, forces = (_spread(n) for n in numbers)
+    weighted = WeightedConditions(
+        instance, PrimalDual(x, costates, forces), PrimalDual(one * sizes, one[: len(costates)], forces)
+    )
+    moves = ByParameters(_steps(psi), np.zeros(n_s), np.zeros(len(context)))
+    return _kink_in_parameters(weighted, weighted.gradients(np.zeros(n_s)), moves)
+
+
+def _kink_in_parameters(weighted: WeightedConditions, by: ByParameters, moves: ByParameters) -> float:
+    expected = sum(float(part @ move) for part, move in zip(by, moves, strict=True))
+    total = sum(float(np.abs(part) @ np.abs(move)) for part, move in zip(by, moves, strict=True))
+    left, here, right = (weighted.conditions(moves, k * _DIFFERENCE) for k in (-1.0, 0.0, 1.0))
+    weights = weighted.flat
+    slopes = [float(weights @ (one - other)) / _DIFFERENCE for one, other in ((right, here), (here, left))]
     noise = _ROUNDING * float(np.abs(weights) @ np.abs(here)) / _DIFFERENCE
     whole = max(total, *map(abs, slopes), noise)
     quotient = max(abs(slope - expected) for slope in slopes) / whole if whole > 0 else 0.0
+    instance = weighted.instance
 
     def gradients(k: float) -> Array:
-        by = function.pull_at(adjoint, instance.psi + k * moves.psi, instance.context + k * moves.context)
-        return np.concatenate(by) * np.concatenate([moves.psi, moves.context])
+        at = weighted.gradients_at(instance.psi + k * moves.psi, instance.context + k * moves.context)
+        return np.concatenate(at) * np.concatenate([moves.psi, moves.context])
 
     return _worst(quotient, jump(gradients, whole))
 

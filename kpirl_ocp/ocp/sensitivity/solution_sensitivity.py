@@ -86,11 +86,6 @@ class Sensitivity:
         instance = Instance.of(problem, solution)
         self._system = linearise(instance, primal_dual(instance, solution), derivatives=derivatives)
 
-    @property
-    def sizes(self) -> Array:
-        """(n_w,) of the entries of (s_0, u_0, s_1, .., s_T): the largest of each kind over the horizon."""
-        return self._system.sizes
-
     def pull(self, by_states: ArrayLike, by_actions: ArrayLike) -> Gradients:
         """Gradients of a function L of the trajectory.
 
@@ -111,7 +106,7 @@ class Sensitivity:
         adjoint, residual = function.factors.adjoint(slope)
         found = function.pull(adjoint)
         evidence = self._evidence(slope, adjoint, adjoint.x, residual)
-        evidence["kink"] = max(evidence["kink"], kink_in_parameters(function, adjoint, found))
+        evidence["kink"] = max(evidence["kink"], self._kink_in_parameters(adjoint, found))
         s0 = np.where(self.problem.free_start, 0.0, states[0] + found.s0)
         return Gradients(found.psi, s0, found.context, self._certificate(evidence))
 
@@ -139,7 +134,7 @@ class Sensitivity:
         change, residual = function.push(ByParameters(dpsi, ds0, dcontext))
         adjoint, _ = function.factors.adjoint(change.x)
         evidence = self._evidence(change.x, adjoint, change.x, residual)
-        evidence["kink"] = max(evidence["kink"], kink_in_parameters(function, adjoint, function.pull(adjoint)))
+        evidence["kink"] = max(evidence["kink"], self._kink_in_parameters(adjoint, function.pull(adjoint)))
         problem = self.problem
         states, actions = split(change.x, problem.horizon, problem.n_states, problem.n_actions)
         return Tangent(states, actions, self._certificate(evidence))
@@ -160,6 +155,9 @@ class Sensitivity:
     @cached_property
     def _nearby_system(self) -> KKTSystem:
         return linearise(self._system.instance, self._nearby.point, self._system.active)
+
+    def _kink_in_parameters(self, adjoint: PrimalDual, found: ByParameters) -> float:
+        return kink_in_parameters(self._factorised.weighted(adjoint), ByParameters(*(-by for by in found)))
 
     def _undefined(self) -> SensitivityCertificate:
         certificate = undefined(self.solution, self._system.active)
