@@ -13,10 +13,11 @@ import casadi as ca
 import numpy as np
 import torch
 
-from kpirl_ocp import OCP
+from kpirl_ocp import OCP, Riccati
 from kpirl_ocp.bridges import OCPLayer
 
 TRUE = (1.0, 2.0, 1.5, 1.0)
+LOWER, UPPER = 0.25, 4.0  # what the weights are known to lie between
 # Starting guesses of the weights, from the repository ToyotaResearchInstitute/diffmpc.
 STARTS = (
     (2.31993711, 2.10973335, 1.27643918, 2.40638906),
@@ -67,13 +68,19 @@ def starting_states(count: int) -> torch.Tensor:
     return torch.tensor(rng.uniform([-0.5, -0.5, -3.14, -1.0], [0.5, 0.5, 3.14, 1.0], (count, 4)))
 
 
+def weights(free: torch.Tensor) -> torch.Tensor:
+    """Between `LOWER` and `UPPER`, so that no line search goes where plans make no sense."""
+    return LOWER + (UPPER - LOWER) * torch.sigmoid(free)
+
+
 def imitate(layer: OCPLayer, states: torch.Tensor, start: tuple[float, ...]) -> tuple[torch.Tensor, int]:
     """Learned weights (4,) and how often the loss was evaluated."""
     with torch.no_grad():
         expert = layer(torch.tensor(TRUE).double(), states)
-    logarithms = torch.tensor(start).double().log().requires_grad_()  # weights stay positive
+    guesses = [solution.trajectory for solution in expert.solutions]
+    free = torch.logit((torch.tensor(start).double() - LOWER) / (UPPER - LOWER)).requires_grad_()
     optimiser = torch.optim.LBFGS(
-        [logarithms], max_iter=100, line_search_fn="strong_wolfe", tolerance_grad=1e-10, tolerance_change=1e-12
+        [free], max_iter=100, line_search_fn="strong_wolfe", tolerance_grad=1e-10, tolerance_change=1e-12
     )
     evaluations = 0
 
@@ -81,13 +88,13 @@ def imitate(layer: OCPLayer, states: torch.Tensor, start: tuple[float, ...]) -> 
         nonlocal evaluations
         evaluations += 1
         optimiser.zero_grad()
-        plan = layer(logarithms.exp(), states, guess=expert)
-        loss = 0.5 * (plan.actions - expert.actions).square().mean()
+        plan = layer(weights(free), states, guess=guesses)
+        loss = 0.5 * (plan.actions - expert.actions)[plan.solved].square().mean()
         loss.backward()
         return loss
 
     optimiser.step(closure)
-    return logarithms.detach().exp(), evaluations
+    return weights(free).detach(), evaluations
 
 
 def main() -> None:
@@ -96,13 +103,13 @@ def main() -> None:
     parser.add_argument("--demonstrations", type=int, default=32, help="of the expert (default: 32)")
     parser.add_argument("--horizon", type=int, default=100, help="steps of 0.05 s (default: 100)")
     args = parser.parse_args()
-    layer = OCPLayer(cart_pole(args.horizon))
+    layer = OCPLayer(cart_pole(args.horizon), Riccati(max_iterations=2000), policy="mask")
     states = starting_states(args.demonstrations)
     worst = 0.0
     for number, start in enumerate(STARTS[: args.starts], 1):
         began = time.perf_counter()
-        weights, evaluations = imitate(layer, states, start)
-        error = float((weights - torch.tensor(TRUE)).abs().max())
+        found, evaluations = imitate(layer, states, start)
+        error = float((found - torch.tensor(TRUE)).abs().max())
         worst = max(worst, error)
         seconds = time.perf_counter() - began
         print(
