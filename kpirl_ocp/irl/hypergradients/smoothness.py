@@ -23,8 +23,6 @@ from kpirl_ocp.types import Array, Solution, Trajectory
 
 LOSS_KINK = "The loss or the observation sits on a kink at this plan: use smooth ones (squares, softplus, tanh)."
 PARAMETER_KINK = "Costs, constraints or dynamics have a kink or a jump at these parameters: use smooth ones."
-    "Costs, constraints or dynamics have a kink or a jump at these parameters: use smooth functions of them."
-)
 
 
 class LossAt:
