@@ -107,7 +107,7 @@ def test_a_malformed_episode_is_refused_before_anything_is_written(tmp_path, epi
 
 
 def test_reading_names_the_file_and_what_is_wrong(tmp_path, episodes):
-    with pytest.raises(EpisodeError, match="make_demonstrations"):
+    with pytest.raises(EpisodeError, match="kpirl demonstrate"):
         read_episodes(tmp_path, Episode)
     write_episodes(tmp_path, episodes, {})
     (tmp_path / "episode_001.npz").write_bytes(b"PK not really")
