@@ -11,7 +11,7 @@ from __future__ import annotations
 import inspect
 import re
 
-from kpirl_ocp.ocp.codegen import copy_elision
+import kpirl_ocp.ocp.codegen.copy_elision as copy_elision
 
 _KERNEL = r"""
 #if defined(__AVX512F__)

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+import kpirl_ocp.ocp.export.manifest as manifest
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen import portable_c, templates
 from kpirl_ocp.ocp.codegen.target import Target
 from kpirl_ocp.ocp.codegen.templates import PREFIX
-from kpirl_ocp.ocp.export import manifest
 from kpirl_ocp.ocp.export.constants import configuration, data, dimensions
 from kpirl_ocp.ocp.export.records import header, record
 from kpirl_ocp.ocp.export.targets import target_of

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import kpirl_ocp.ocp.export.descent as descent
+import kpirl_ocp.ocp.export.riccati as riccati
+import kpirl_ocp.ocp.export.sqp as sqp
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.target import Target
-from kpirl_ocp.ocp.export import descent, riccati, sqp
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent

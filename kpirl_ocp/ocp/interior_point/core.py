@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+import kpirl_ocp.ocp.interior_point.library as c
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachine
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare
