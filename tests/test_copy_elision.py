@@ -58,10 +58,10 @@ def test_numbers_are_the_same_to_the_last_bit(rows, columns, tmp_path, monkeypat
 def test_products_start_from_what_they_are_added_to_and_outputs_are_computed_in_place():
     before = generated(recursion(25, 10))
     after = with_fewer_copies(before)
-    assert before.count("casadi_mtimes_dense(w") == after.count("casadi_mtimes_from(w") == 2
+    assert before.count("casadi_mtimes_dense(w") == after.count("kernel_mtimes_from(w") == 2
     assert "casadi_clear(w" in before
     assert "casadi_clear(w" not in after
-    (name,) = (name for name, body in bodies(after).items() if "casadi_mtimes_from" in body)
+    (name,) = (name for name, body in bodies(after).items() if "kernel_mtimes_from" in body)
     copies = [len(re.findall(r"casadi_copy\(w\d+, \d+, res", bodies(source)[name])) for source in (before, after)]
     assert copies == [6, 3]  # each of three arrays goes to its last place at once
     stage = bodies(after)[name]

@@ -13,6 +13,7 @@ from kpirl_ocp import Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajector
 from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.ocp.export.records import STATUS
+from kpirl_ocp.ocp.interior_point.library import HORIZON, STAGE
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 from kpirl_ocp.ocp.solvers.sqp import SQP
 
@@ -169,6 +170,15 @@ def test_what_cannot_be_exported_is_refused_with_the_alternatives(solver, tmp_pa
 def test_a_prefix_that_is_no_lower_case_c_name_is_refused(prefix, tmp_path):
     with pytest.raises(ProblemError, match="prefix must be"):
         export_c(TABLE["lqr"]().problem, Riccati(), tmp_path, prefix=prefix)
+
+
+@pytest.mark.parametrize(("structure", "known"), [("stage", STAGE), ("horizon", HORIZON)])
+def test_python_calls_functions_with_the_pointers_of_the_header(structure, known):
+    header = (folder("integrator", Riccati())[0] / "kpirl_mpc_model.h").read_text()
+    for side, names in zip(("arguments", "results"), known, strict=True):
+        (body,) = re.findall(rf"typedef struct kpirl_mpc_{structure}_{side} \{{(.*?)\}}", header, re.DOTALL)
+        body = re.sub(r"/\*.*?\*/", "", body, flags=re.DOTALL)
+        assert tuple(re.findall(r"\*(\w+)", body)) == names
 
 
 def test_status_codes_are_those_of_python():

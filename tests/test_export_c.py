@@ -12,9 +12,10 @@ import pytest
 from exported import COMPILERS, STRICT, C, built, folder, ran
 from problems import TABLE
 
-from kpirl_ocp import Riccati
+from kpirl_ocp import GradientDescent, Riccati
+from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.ocp.codegen import portable_c as generated
-from kpirl_ocp.ocp.export import ExportedSolver
+from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.ocp.solvers.sqp import SQP, program
 
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
@@ -32,6 +33,46 @@ def test_the_recorded_solves_are_reproduced(compiler):
 def test_other_builds_reproduce_them_too(macro):
     out, _ = folder("integrator", CONVERGED)
     assert "all agree" in built(out, out / "test/test.c", *STRICT, f"-DKPIRL_MPC_{macro}")
+
+
+SINGLE = ("-DKPIRL_MPC_FLOAT", "-Wdouble-promotion")
+SOLVERS = {"lqr": GradientDescent(5, 1e-3, project=True), "integrator": CONVERGED, "swing-up": SQP()}
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("name", SOLVERS)
+def test_single_precision_is_not_promoted(name, compiler, tmp_path):
+    case = TABLE[name]()
+    problem = case.problem.unconstrained() if name == "lqr" else case.problem
+    out = export_c(problem, SOLVERS[name], tmp_path, psi=case.psi)
+    for source in out.glob("*.c"):
+        command = [compiler, *STRICT, *SINGLE, "-c", str(source), "-o", str(tmp_path / "object.o")]
+        compiled = subprocess.run(command, capture_output=True, text=True)
+        assert (compiled.returncode, compiled.stderr) == (0, "")
+
+
+ARM = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard", "-DKPIRL_MPC_NO_HEAP")
+
+
+@pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="there is no compiler for ARM without a system")
+@pytest.mark.parametrize("name", ["integrator", "tanh network"])
+def test_a_microcontroller_compiles_it(name, tmp_path):
+    out, _ = folder(name, CONVERGED)
+    for source in out.glob("*.c"):
+        command = ["arm-none-eabi-gcc", *STRICT, *SINGLE, *ARM, "-c", str(source), "-o", str(tmp_path / "object.o")]
+        compiled = subprocess.run(command, capture_output=True, text=True)
+        assert (compiled.returncode, compiled.stderr) == (0, "")
+
+
+def test_the_placing_controller_takes_a_quarter_of_a_megabyte_in_single_precision(tmp_path):
+    data = placing_case(10, steps=1, count=1)
+    out = export_c(data.bounded, REAL_TIME, tmp_path, psi=data.psi.ravel())
+    program = tmp_path / "size.c"
+    program.write_text(
+        '#include <stdio.h>\n#include "kpirl_mpc_memory.h"\n'
+        'int main(void) { printf("%d\\n", (int)sizeof(kpirl_mpc)); return 0; }\n'
+    )
+    assert int(built(out, program, *STRICT, *SINGLE, suffix="nothing")) <= 256_000
 
 
 @pytest.mark.parametrize("solver", [CONVERGED, REAL_TIME])
@@ -84,12 +125,21 @@ def test_cpp_includes_it_and_has_a_class(tmp_path):
     for source in out.glob("*.c"):
         objects.append(str(tmp_path / f"{source.stem}.o"))
         subprocess.run(["gcc", "-std=c99", "-O1", "-c", str(source), "-o", objects[-1]], check=True)
-    flags = ["-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{out}"]
+    flags = ["-std=c++11", "-fno-exceptions", "-fno-rtti", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{out}"]
     subprocess.run(["g++", *flags, str(C / "inclusion.cpp"), *objects, "-o", str(tmp_path / "cpp"), "-lm"], check=True)
     assert "NULL" in ran(tmp_path / "cpp")
 
 
-@pytest.mark.skipif(shutil.which("clang") is None, reason="libFuzzer comes with clang")
+def has_fuzzer():
+    """Whether there is a clang with libFuzzer, which is a package of its own."""
+    if shutil.which("clang") is None:
+        return False
+    command = ["clang", "-fsanitize=fuzzer", "-x", "c", "-", "-o", "/dev/null"]
+    source = "int LLVMFuzzerTestOneInput(const char *data, long size) { return 0 * size * !data; }"
+    return subprocess.run(command, input=source, text=True, capture_output=True).returncode == 0
+
+
+@pytest.mark.skipif(not has_fuzzer(), reason="there is no libFuzzer")
 def test_a_short_fuzz_finds_nothing():
     out, _ = folder("lqr", CONVERGED)
     program = out / "fuzz"

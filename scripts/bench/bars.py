@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from bench.contenders import ALONE, JAX, OURS, TORCH
-from bench.export import REAL_TIME
+from bench.export import FLOAT, REAL_TIME
 from bench.implicit import BOTH, GRADIENT, SOLVE
 from bench.memory import IMPLICIT
 from bench.part import Numbers, Table
@@ -149,7 +149,10 @@ def _export(numbers: Numbers) -> Iterator[Bar]:
                 yield Bar(f"{claim}, 99 %", 1.0, result["p99_ms"], " ms", note)
     compiled = [result for found in numbers.values() for result in found.values() if "compile_s" in result]
     yield Bar("compilation of an exported controller", 15.0, max(r["compile_s"] for r in compiled), " s")
-    yield Bar("library of an exported controller", 1000.0, max(r["library_bytes"] for r in compiled) / 1000, " kB")
+    yield Bar("library of an exported controller", 400.0, max(r["library_bytes"] for r in compiled) / 1000, " kB")
+    shortest = min(numbers, key=int)
+    memory = numbers[shortest][f"C, {REAL_TIME}, {FLOAT}"]["bytes"] / 1000
+    yield Bar(f"memory of an exported controller, single precision, T = {shortest}", 256.0, memory, " kB")
 
 
 def _totals(starts: list[Numbers]) -> Numbers:

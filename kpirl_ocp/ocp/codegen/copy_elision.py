@@ -19,7 +19,7 @@ _OUTPUT = re.compile(r"^ *(?:if \(res\[\d+\]\) )?casadi_copy\((w\d+), \d+, res\[
 
 
 def with_fewer_copies(source: str) -> str:
-    """Generated C with both replacements; products call `casadi_mtimes_from` of `kpirl_ocp.ocp.codegen.kernels`."""
+    """Generated C with both replacements; products call `kernel_mtimes_from` of `kpirl_ocp.ocp.codegen.kernels`."""
     entries = set(_ENTRY.findall(source))
 
     def shorter(function: re.Match[str]) -> str:
@@ -37,7 +37,7 @@ def _products(text: str) -> str:
         use = re.search(rf"^.*\b{name}\b.*\n", after, re.MULTILINE)
         product = use and re.fullmatch(rf" *casadi_mtimes_dense\(((?:(?!\b{name}\b).)*), {name}, 0\);\n", use[0])
         if use and product and (found[1] or use.start() == 0):
-            fused = f"  casadi_mtimes_from({product[1]}, {start}, {name});\n"
+            fused = f"  kernel_mtimes_from({product[1]}, {start}, {name});\n"
             text = before + after[: use.start()] + fused + after[use.end() :]
     return text
 

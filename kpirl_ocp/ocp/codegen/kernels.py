@@ -29,7 +29,7 @@ typedef casadi_real half_vector __attribute__((vector_size(HALF_LANES * sizeof(c
 
 /* rows first .. end of `columns` columns, as vectors of which the last overlaps its neighbour if it has to;
    `chains` partial sums hide the latency of a tile that is low */
-static inline __attribute__((always_inline)) void casadi_tile(const int vectors, const int columns, const int chains,
+static inline __attribute__((always_inline)) void kernel_tile(const int vectors, const int columns, const int chains,
     const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x, const casadi_real* y, const casadi_real* start,
     casadi_real* z, casadi_int first, casadi_int end) {
   tile_vector sum[5][8];
@@ -57,7 +57,7 @@ static inline __attribute__((always_inline)) void casadi_tile(const int vectors,
 }
 
 /* all rows of `columns` columns, in tiles of nearly equal height */
-static inline __attribute__((always_inline)) void casadi_panel(const int columns, const int most,
+static inline __attribute__((always_inline)) void kernel_panel(const int columns, const int most,
     const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x, const casadi_real* y, const casadi_real* start,
     casadi_real* z) {
   const casadi_int vectors = (nrow_x + TILE_LANES - 1) / TILE_LANES, tiles = (vectors + most - 1) / most;
@@ -66,7 +66,7 @@ static inline __attribute__((always_inline)) void casadi_panel(const int columns
     casadi_int height = vectors * (t + 1) / tiles - vectors * t / tiles;
     casadi_int end = t < tiles - 1 ? first + height * TILE_LANES : nrow_x;
 #define TILE(h) if (h <= most && height == h) \
-      casadi_tile(h, columns, columns > 1 ? 1 : h > 4 ? 1 : h > 2 ? 2 : 4, x, nrow_x, ncol_x, y, start, z, first, end);
+      kernel_tile(h, columns, columns > 1 ? 1 : h > 4 ? 1 : h > 2 ? 2 : 4, x, nrow_x, ncol_x, y, start, z, first, end);
     TILE(1) TILE(2) TILE(3) TILE(4) TILE(5) TILE(6) TILE(7) TILE(8)
 #undef TILE
     first = end;
@@ -74,7 +74,7 @@ static inline __attribute__((always_inline)) void casadi_panel(const int columns
 }
 
 /* 4 .. 8 rows as two vectors of four that overlap, with two partial sums each */
-static inline void casadi_low(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
+static inline void kernel_low(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
     const casadi_real* y, casadi_int ncol_y, casadi_real* z) {
   const casadi_int below = nrow_x - HALF_LANES;
   casadi_int i, k;
@@ -99,7 +99,7 @@ static inline void casadi_low(const casadi_real* x, casadi_int nrow_x, casadi_in
 }
 
 /* z += y' x: sums along the columns of y, four of them side by side */
-static inline void casadi_row(const casadi_real* x, casadi_int count, const casadi_real* y, casadi_int ncol_y,
+static inline void kernel_row(const casadi_real* x, casadi_int count, const casadi_real* y, casadi_int ncol_y,
     casadi_real* z) {
   casadi_int i, k;
   int c, lane;
@@ -139,12 +139,12 @@ static inline void casadi_row(const casadi_real* x, casadi_int count, const casa
 }
 
 /* z = start + x y, where no start stands for zeros */
-static void casadi_mtimes_from(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
+static void kernel_mtimes_from(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
     const casadi_real* y, casadi_int ncol_y, const casadi_real* start, casadi_real* z) {
   casadi_int i = 0, j, k;
   if (nrow_x >= TILE_LANES) {
 #define PANELS(n, most) for (; i + n <= ncol_y; i += n) \
-      casadi_panel(n, most, x, nrow_x, ncol_x, y + i * ncol_x, start ? start + i * nrow_x : 0, z + i * nrow_x);
+      kernel_panel(n, most, x, nrow_x, ncol_x, y + i * ncol_x, start ? start + i * nrow_x : 0, z + i * nrow_x);
     PANELS(5, TILE_VECTORS)
     PANELS(4, TILE_VECTORS)
     PANELS(3, TILE_VECTORS)
@@ -155,9 +155,9 @@ static void casadi_mtimes_from(const casadi_real* x, casadi_int nrow_x, casadi_i
   }
   for (j = 0; j < nrow_x * ncol_y; ++j) z[j] = start ? start[j] : 0;
   if (nrow_x == 1) {
-    casadi_row(x, ncol_x, y, ncol_y, z);
+    kernel_row(x, ncol_x, y, ncol_y, z);
   } else if (nrow_x >= HALF_LANES) {
-    casadi_low(x, nrow_x, ncol_x, y, ncol_y, z);
+    kernel_low(x, nrow_x, ncol_x, y, ncol_y, z);
   } else {
     for (; i < ncol_y; ++i)
       for (k = 0; k < ncol_x; ++k)
@@ -169,7 +169,7 @@ static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_
     const casadi_real* y, casadi_int ncol_y, casadi_real* z, casadi_int tr) {
   casadi_int i, j, k;
   if (!tr) {
-    casadi_mtimes_from(x, nrow_x, ncol_x, y, ncol_y, z, z);
+    kernel_mtimes_from(x, nrow_x, ncol_x, y, ncol_y, z, z);
     return;
   }
   for (i = 0; i < ncol_y; ++i)
@@ -192,7 +192,7 @@ typedef long long wide_bits __attribute__((vector_size(32)));
 
 /* tanh x = e / (e + 2) with e = exp(2 |x|) - 1 = 2^n (exp(r) - 1) + (2^n - 1), |r| <= log(2) / 2, by Taylor's series;
    beyond 22 it is 1 to the last place. Comparisons with NaN are false, so that NaN stays. */
-static inline wide casadi_tanh4(wide x) {
+static inline wide kernel_tanh4(wide x) {
   const wide zero = {0}, round = zero + 0x1.8p52;
   const wide_bits sign = (wide_bits) x & ((wide_bits) {0} + (-0x7fffffffffffffffLL - 1));
   wide a = (wide) ((wide_bits) x ^ sign), n, r, p, power, e;
@@ -218,17 +218,17 @@ static inline wide casadi_tanh4(wide x) {
   return (wide) ((wide_bits) (e / (e + 2)) | sign);
 }
 
-static void casadi_tanh(const casadi_real* x, casadi_int n, casadi_real* y) {
+static void kernel_tanh(const casadi_real* x, casadi_int n, casadi_real* y) {
   wide some;
   for (; n >= 4; n -= 4, x += 4, y += 4) {
     memcpy(&some, x, 32);
-    some = casadi_tanh4(some);
+    some = kernel_tanh4(some);
     memcpy(y, &some, 32);
   }
   if (n > 0) {
     some = (wide) {0};
     memcpy(&some, x, n * sizeof(casadi_real));
-    some = casadi_tanh4(some);
+    some = kernel_tanh4(some);
     memcpy(y, &some, n * sizeof(casadi_real));
   }
 }
@@ -252,7 +252,7 @@ def with_fast_kernels(source: str) -> str:
             end = source.index("\n}\n", start) + len("\n}\n")
             source = source[:start] + body + source[end:]
     source = copy_elision.with_fewer_copies(source)
-    source, found = _TANH_LOOP.subn(r"casadi_tanh(\2, \3, \1);", source)
+    source, found = _TANH_LOOP.subn(r"kernel_tanh(\2, \3, \1);", source)
     if found:
         at = re.search(r"#define casadi_int .*\n(#endif\n)?", source)
         assert at, "generated C defines casadi_int"

@@ -68,6 +68,8 @@ _PREAMBLE = f"""{LICENCE}
 #endif
 
 """
+# What CasADi writes for a function that it cannot generate, such as an integrator or a callback.
+_REFUSED = re.compile(r"/\* (\w+):[^*]*\*/\n[^\n]*\n *#error Code generation not supported for (\w+)")
 _PRODUCT = f"""/* z += x y; with tr, z += x' y */
 static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
     const casadi_real* y, casadi_int ncol_y, casadi_real* z, casadi_int tr) {{
@@ -111,17 +113,37 @@ def definitions(functions: Sequence[ca.Function], interfaces: Interfaces) -> str
         ProblemError: CasADi generates no C for a part of them, which is named.
         CompilerError: CasADi's text is not what this module knows.
     """
+    source = _generate(functions)
+    refused = _REFUSED.search(source)
+    if refused:
+        raise _no_code(refused[1], refused[2])
+    if "#error" in source:
+        raise _unknown("something that it refuses to generate, without a name")
+    calls = "\n".join(_call(function, interfaces) for function in functions)
+    return _preamble() + portable(source) + "\n" + calls
+
+
+def refuse_libraries(functions: Iterable[ca.Function]) -> None:
+    """Raise ProblemError for functions with parts in shared libraries, whose C CasADi does not know."""
+    for function in functions:
+        for part in (function, *function.find_functions()):
+            if part.class_name() == "External":
+                raise _no_code(part.name(), part.class_name())
+
+
+def _generate(functions: Sequence[ca.Function]) -> str:
     generator = ca.CodeGenerator(f"{PREFIX}_functions.c", _OPTIONS)
     for function in functions:
         generator.add(function)
-    source = generator.dump()
-    refused = re.search(r"#error (.*)", source)
-    if refused:
-        raise ProblemError(
-            f"CasADi generates no C for a part of the problem, so that it cannot be exported: {refused[1].strip()}."
-        )
-    calls = "\n".join(_call(function, interfaces) for function in functions)
-    return _preamble() + portable(source) + "\n" + calls
+    text: str = generator.dump()
+    return text
+
+
+def _no_code(name: str, kind: str) -> ProblemError:
+    return ProblemError(
+        f"CasADi generates no C for {name!r}, {kind}, so that the problem cannot be exported: state that part in "
+        "expressions, an ODE for example with discretise()."
+    )
 
 
 def portable(source: str) -> str:

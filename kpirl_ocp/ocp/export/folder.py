@@ -54,6 +54,7 @@ def export_c(
         FileError: the directory holds files of an earlier export that were changed since.
     """
     templates.check_prefix(prefix)
+    portable_c.refuse_libraries(filter(None, manifest.functions_of(problem)))
     target = target_of(problem, solver)
     n_s, n_psi, n_c = problem.n_states, problem.n_parameters, problem.n_context
     _, parameters, _ = problem.inputs(np.zeros(n_s), np.ones(n_psi) if psi is None else psi, np.zeros(n_c))

@@ -109,9 +109,9 @@ def takes_schedules(manifest: Mapping[str, Any]) -> bool:
     return bool(manifest["solver"]["kind"] == "riccati")
 
 
-def fingerprint(problem: OCP) -> str:
-    """A hash of the problem's functions and horizon, which are compiled in."""
-    functions = [
+def functions_of(problem: OCP) -> list[ca.Function | None]:
+    """The functions that are compiled in."""
+    return [
         problem.dynamics,
         problem.stage_cost,
         problem.terminal_cost,
@@ -120,7 +120,11 @@ def fingerprint(problem: OCP) -> str:
         problem.terminal_constraint,
         problem.terminal_equality,
     ]
-    parts = ["" if function is None else function.serialize() for function in functions]
+
+
+def fingerprint(problem: OCP) -> str:
+    """A hash of the problem's functions and horizon, which are compiled in."""
+    parts = ["" if function is None else function.serialize() for function in functions_of(problem)]
     return _hash("\0".join([*parts, str(problem.horizon), ca.__version__]).encode())
 
 

@@ -38,7 +38,7 @@ def target(problem: OCP, solver: Riccati) -> Target:
         max_iterations=solver.max_iterations,
         tolerance=solver.tolerance,
         barrier=solver.barrier,
-        single_tolerance=1e-4,
+        single_tolerance=1e-5,
     )
 
 

@@ -204,7 +204,13 @@ void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level);
 void kpirl_mpc_find_residuals(const kpirl_mpc_core *core, real tau, kpirl_mpc_residuals *residuals);
 
 /* newton */
-#define KPIRL_MPC_PROXIMAL ((real)1e-9) /* delta: of equalities, see kpirl_mpc_newton.c */
+/* delta: of equalities, see kpirl_mpc_newton.c. Its inverse is added to numbers of size one, so that it has to leave some digits
+ * of them. */
+#ifdef KPIRL_MPC_FLOAT
+#define KPIRL_MPC_PROXIMAL ((real)1e-4)
+#else
+#define KPIRL_MPC_PROXIMAL ((real)1e-9)
+#endif
 #define KPIRL_MPC_BOUNDARY ((real)0.99) /* the smallest fraction to the boundary */
 /* The factors of the condensed Hessian; returns whether it is positive along the dynamics. */
 int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation);

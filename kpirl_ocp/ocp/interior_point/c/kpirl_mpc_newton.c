@@ -16,6 +16,7 @@
 #include <string.h>
 
 static const real CORRECTED = (real)0.5;  /* length of the first step from which the second order is believed */
+static const real ROUNDING = 1000 * KPIRL_MPC_EPSILON; /* the smallest share of a slack or multiplier that a step leaves */
 
 /* ---- the linear-quadratic problem --------------------------------------------------------------------------- */
 
@@ -124,10 +125,17 @@ static real longest(const real *value, const real *change, int count, real share
 
 /* ---- steps -------------------------------------------------------------------------------------------------- */
 
+/* The fraction to the boundary comes closer to one as tau falls, as far as rounding lets what is left stay positive; where tau
+ * is fixed, as in real-time iterations, there is no reason to come close. */
+static real fraction_to_boundary(const kpirl_mpc_core *core) {
+  const real left = kpirl_mpc_larger(core->step.tau / core->d.scale, ROUNDING);
+  return core->options.steps > 0 ? KPIRL_MPC_BOUNDARY : kpirl_mpc_larger(KPIRL_MPC_BOUNDARY, 1 - left);
+}
+
 static void limit_lengths(kpirl_mpc_core *core, real regularisation) {
   kpirl_mpc_step *step = &core->step;
   const int m = kpirl_mpc_n_inequalities(core);
-  step->share = kpirl_mpc_larger(KPIRL_MPC_BOUNDARY, 1 - step->tau / core->d.scale);
+  step->share = fraction_to_boundary(core);
   step->primal_length = longest(core->at.y, step->change.y, m, step->share);
   step->dual_length = longest(core->at.z, step->change.z, m, step->share);
   step->regularisation = regularisation;
