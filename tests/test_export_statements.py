@@ -1,5 +1,6 @@
 """The exported C does all that can be stated: same status, iterations and numbers as Python, and the same gradients."""
 
+import platform
 import tempfile
 from dataclasses import replace
 from functools import lru_cache
@@ -13,6 +14,7 @@ from statements import CASES, DT, GRID, T
 from kpirl_ocp import SQP, Riccati, Status
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
+from kpirl_ocp.ocp.interior_point import library
 
 CONVERGED, BARRIER = Riccati(), 1e-4
 CHAOTIC = {"states alone"}  # the number of iterations depends on rounding
@@ -48,6 +50,33 @@ def test_the_interior_point_method_is_that_of_python(name):
     nearby = (np.array(arguments[0]) + 0.01, *arguments[1:])
     warm = CONVERGED.solve(problem, *nearby, guess=cold)
     assert_same(ours.solve(problem, *nearby, guess=cold), warm, iterations=orderly)
+
+
+@pytest.fixture
+def plain_core(monkeypatch):
+    """Python's core as built for every processor of its kind, whose operations are those of a portable export."""
+    if platform.machine() not in ("x86_64", "AMD64"):
+        pytest.skip("compilers for this processor contract products and sums")
+    monkeypatch.setattr(library, "_levels", lambda: [""])
+    library.library.cache_clear()
+    yield
+    library.library.cache_clear()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_same_build_gives_the_same_numbers_to_the_last_bit(name, plain_core):
+    out, _, arguments = exported(name)
+    problem = CASES[name]().problem  # one whose core was not made yet
+    ours, reference = ExportedSolver(out, STRICT).solve(problem, *arguments), CONVERGED.solve(problem, *arguments)
+    assert (ours.status, ours.iterations, ours.objective) == (
+        reference.status,
+        reference.iterations,
+        reference.objective,
+    )
+    np.testing.assert_array_equal(ours.states, reference.states)
+    np.testing.assert_array_equal(ours.actions, reference.actions)
+    for part in vars(reference.multipliers):
+        np.testing.assert_array_equal(getattr(ours.multipliers, part), getattr(reference.multipliers, part))
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -64,7 +64,7 @@ def compile_all(functions: Sequence[ca.Function]) -> list[ca.Function]:
         try:
             library = _library(command, name, source)
         except (OSError, subprocess.CalledProcessError) as error:
-            warn_slow(f"{command} could not compile {name}: {error}")
+            warn_slow(f"{command} could not compile {name} ({_words(error)})")
             return list(functions)
         try:
             return [ca.external(function.name(), str(library)) for function in functions]
@@ -73,6 +73,12 @@ def compile_all(functions: Sequence[ca.Function]) -> list[ca.Function]:
                 raise
     warn_slow(f"other processes keep removing {library}")
     return list(functions)
+
+
+def _words(error: OSError | subprocess.CalledProcessError) -> str:
+    """The compiler's first words, or those of the system."""
+    said = error.stderr.strip() if isinstance(error, subprocess.CalledProcessError) else ""
+    return said.splitlines()[0] if said else str(error)
 
 
 def _library(compiler: str, name: str, source: str) -> Path:
