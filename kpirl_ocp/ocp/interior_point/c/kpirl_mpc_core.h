@@ -108,7 +108,7 @@ typedef struct kpirl_mpc_core {
   real *nonzeros;       /* of a function's result */
   real *states, *actions; /* gathered for functions of the whole horizon */
   real tau, indefinite_tau; /* the latter: tau to go back to where the Hessian is not positive */
-  real start_tau, most_violation; /* tau at the beginning, and the largest violation since */
+  real start_tau, most_violation, most_gradient; /* tau at the beginning; the largest violation and gradient since */
   real tolerance, regularisation, best; /* best: the smallest residual so far */
   double started;
   int iterations, trials, idle; /* idle: iterations since `best` was halved */

@@ -141,7 +141,7 @@ static void begin_here(kpirl_mpc_core *core, real tau) {
   const int m = kpirl_mpc_n_inequalities(core);
   int i;
   core->tau = core->start_tau = core->indefinite_tau = tau;
-  core->most_violation = 0;
+  core->most_violation = core->most_gradient = 0;
   for (i = 0; i < m; ++i) core->at.z[i] = kpirl_mpc_larger(core->at.z[i], tau / core->at.y[i]);
   core->regularisation = 0;
   core->step.positive = 0; /* there was no step yet */

@@ -12,8 +12,8 @@ static const real STRONGEST = (real)1e10; /* regularisation, relative to the sca
 static const real SUBPROBLEM = 10;        /* a barrier problem is solved when residuals are below so many tau */
 static const real FLAT = (real)1e-8;      /* curvature, relative to the largest, that counts as none */
 static const real USEFUL = (real)0.01;     /* fraction of a corrected step below which plain Newton steps do better */
-static const real SMALL = (real)1e-3;      /* violation up to which tau falls as it may */
-static const real KEPT = (real)1e-3;       /* share of its start above which tau stays in proportion to the violation */
+static const real SMALL = (real)1e-3;      /* violation that counts as little */
+static const real KEPT = (real)1e-4;       /* share of its start above which tau stays until violation and gradient fall */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
 
 /* The Newton step, with as much regularisation as the pivots ask for; 0 if none is enough. */
@@ -99,16 +99,27 @@ static void hold_tau(kpirl_mpc_core *core, real least) {
   if (core->tau != before) kpirl_mpc_start_filter(&core->filter, core->d.violation);
 }
 
+/* The smallest tau for now: a share of its start, in proportion to what is left of violation and gradient of the Lagrangian. Else
+ * a first step that seems to solve everything would leave tau far behind the conditions where constraints are curved. */
+static real kept_tau(kpirl_mpc_core *core, real least) {
+  const int n_w = kpirl_mpc_n_point(core);
+  const real violation = core->d.violation, gradient = kpirl_mpc_largest(core->d.gradient, n_w);
+  const real cost_gradient = kpirl_mpc_largest(core->d.cost_gradient, n_w);
+  real left;
+  core->most_violation = kpirl_mpc_larger(kpirl_mpc_larger(violation, SMALL), core->most_violation);
+  core->most_gradient = kpirl_mpc_larger(kpirl_mpc_larger(gradient, cost_gradient), core->most_gradient);
+  if (core->options.barrier > 0) return least;
+  left = violation / core->most_violation;
+  if (core->most_gradient > 0) left = kpirl_mpc_larger(gradient / core->most_gradient, left);
+  return kpirl_mpc_larger(least, kpirl_mpc_smaller(KEPT * core->start_tau * left, core->tau));
+}
+
 /* Move along the corrected step where it is one to a minimum; else along Newton steps, regularised. Returns whether it moved. */
 int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least) {
   real rho = 0;
   int attempt;
   core->trials = 0;
-  core->most_violation = kpirl_mpc_larger(core->d.violation, core->most_violation);
-  if (core->options.barrier <= 0 && core->d.violation > SMALL) {
-    const real kept = KEPT * core->start_tau * core->d.violation / core->most_violation;
-    least = kpirl_mpc_larger(least, kpirl_mpc_smaller(kept, core->tau));
-  }
+  least = kept_tau(core, least);
   kpirl_mpc_corrected_step(core, least, kpirl_mpc_larger(core->tau, least));
   if (core->step.positive) {
     if (core->step.tau != core->tau) {
