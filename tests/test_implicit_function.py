@@ -131,7 +131,7 @@ def dense_parts(system):
         H[at, at] = lower + np.tril(lower, -1).T
         if t < T:
             Z[(t + 1) * n_x : (t + 1) * n_x + n_s] = d.F[t * n_s * n_x :][: n_s * n_x].reshape(n_x, n_s).T @ Z[at]
-    return H, Z, np.array([system.linear.times(column) for column in np.eye(size)]).T
+    return H, Z, np.array([system.times(column) for column in np.eye(size)]).T
 
 
 def test_unstable_dynamics_do_not_hide_a_minimum():
@@ -188,7 +188,9 @@ def test_adjoint_is_not_found_where_these_factors_are_of_no_use(name):
 def test_the_newton_step_from_a_perturbed_solution_leads_back_to_it(name):
     _, _, function, _ = solved(name)
     system, rng = function.system, np.random.default_rng(6)
-    moved = replace(system.point, costates=system.point.costates * (1 + 1e-5 * rng.normal(size=system.linear.duals[0])))
+    moved = replace(
+        system.point, costates=system.point.costates * (1 + 1e-5 * rng.normal(size=system.point.costates.shape))
+    )
     there = linearise(system.instance, moved, system.active)
     step = Factorisation(there).newton_step()
     scale = np.abs(system.point.costates).max()

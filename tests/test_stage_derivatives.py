@@ -65,7 +65,7 @@ def test_products_with_stage_matrices_are_those_with_derivatives_of_the_whole_pr
     n, (_, z, nu) = len(costates), instance.rows.split(forces)
     w = np.zeros(len(x))
     w[order] = x
-    rows = instance.rows.split(system.linear.times(x))
+    rows = instance.rows.split(system.times(x))
     pushed = forces.copy()
     pushed[: instance.rows.n_bounds] = 0.0
     for found, expected in [
@@ -75,7 +75,7 @@ def test_products_with_stage_matrices_are_those_with_derivatives_of_the_whole_pr
         (system.defects_along(x), A[:n] @ w),
         (rows[1], G @ w),
         (rows[2], A[n:] @ w),
-        (system.linear.balance([x, costates, pushed]), (H @ w + A.T @ np.append(costates, nu) + G.T @ z)[order]),
+        (system.balance(PrimalDual(x, costates, pushed)), (H @ w + A.T @ np.append(costates, nu) + G.T @ z)[order]),
     ]:
         scale = max(1.0, np.abs(expected).max(initial=0.0))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * scale)

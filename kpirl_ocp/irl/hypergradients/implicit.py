@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
@@ -25,7 +24,7 @@ from kpirl_ocp.irl.hypergradients.certificate import (
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
 from kpirl_ocp.irl.hypergradients.smoothness import LossAt
-from kpirl_ocp.ocp.problem.layout import by_stage, split
+from kpirl_ocp.ocp.problem.layout import split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
 from kpirl_ocp.ocp.sensitivity.certificate import check_policy
@@ -80,10 +79,8 @@ def differentiate(
 
     derivatives: at the solution, where the solver ended with them.
     """
-    evaluate = LossAt(problem, loss, data_of(loss, problem, demonstration))
-    value, *slopes = evaluate(by_stage(solution.states, solution.actions))
-    at = sensitivity(problem, solution, "flag", derivatives)
-    found = at.pull(*split(np.array(slopes), problem.horizon, problem.n_states, problem.n_actions))
-    failures = (*nonfinite_failures(float(value), found.psi), *found.certificate.failures)
-    failures = (*failures, *evaluate.kinks(solution.trajectory))
-    return HypergradientResult(float(value), found.psi, replace(found.certificate, failures=failures))
+    at = LossAt(problem, loss, data_of(loss, problem, demonstration), solution.trajectory)
+    slopes = split(at.slopes, problem.horizon, problem.n_states, problem.n_actions)
+    found = sensitivity(problem, solution, "flag", derivatives).pull(*slopes)
+    failures = (*nonfinite_failures(at.value, found.psi), *found.certificate.failures, *at.kinks)
+    return HypergradientResult(at.value, found.psi, replace(found.certificate, failures=failures))

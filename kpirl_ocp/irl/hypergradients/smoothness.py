@@ -12,13 +12,10 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.irl.hypergradients.loss import Loss
-from kpirl_ocp.ocp.codegen.numpy_calls import call
-from kpirl_ocp.ocp.problem.layout import by_stage, split
+from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.certificate import KINK
-from kpirl_ocp.ocp.sensitivity.kkt_system import sizes_of
-from kpirl_ocp.ocp.sensitivity.nearby_tests import kink_of_loss, parameter_jump
-from kpirl_ocp.ocp.sensitivity.rows import rows_of
+from kpirl_ocp.ocp.sensitivity.evidence import loss_at, parameter_jump
 from kpirl_ocp.types import Array, Solution, Trajectory
 
 LOSS_KINK = "The loss or the observation sits on a kink at this plan: use smooth ones (squares, softplus, tanh)."
@@ -26,27 +23,20 @@ PARAMETER_KINK = "Costs, constraints or dynamics have a kink or a jump at these 
 
 
 class LossAt:
-    """A loss for one demonstration, whose data (n_data, T+1) are given."""
+    """A loss for one demonstration, whose data (n_data, T+1) are given, at a plan.
 
-    def __init__(self, problem: OCP, loss: Loss, data: Array) -> None:
-        self._problem, self._data = problem, data.T
-        self._evaluate = call(problem, _loss_and_slopes(loss))
+    value: of the loss. slopes: (n_w,) by the plan, in the order of time.
+    """
 
-    def __call__(self, x: Array) -> Array:
-        """The loss and its slopes (n_w,) at x (n_w,), in one array."""
-        problem = self._problem
-        states, actions = split(x, problem.horizon, problem.n_states, problem.n_actions)
-        value, by_states, by_actions = self._evaluate(states, actions, self._data)
-        return np.concatenate([value, by_stage(by_states.reshape(states.shape), by_actions.reshape(actions.shape))])
+    def __init__(self, problem: OCP, loss: Loss, data: Array, plan: Trajectory) -> None:
+        x = by_stage(plan.states, plan.actions)
+        self.value, self.slopes, self._kink = loss_at(problem, _loss_and_slopes(loss), data.T, x)
 
-    def kinks(self, plan: Trajectory) -> list[str]:
-        """A sentence if the loss is not smooth at a plan. A given s_0 does not move with psi."""
-        problem, x = self._problem, by_stage(plan.states, plan.actions)
-        sizes = sizes_of(rows_of(problem), x).copy()
-        sizes[: problem.n_states] *= problem.free_start
-        if not np.isfinite(self(x)).all() or kink_of_loss(self, x, sizes) <= KINK:
-            return []
-        return [LOSS_KINK]
+    @property
+    def kinks(self) -> list[str]:
+        """A sentence if the loss is not smooth at the plan. A given s_0 does not move with psi."""
+        finite = np.isfinite(self.value) and np.isfinite(self.slopes).all()
+        return [] if not finite or self._kink <= KINK else [LOSS_KINK]
 
 
 def parameter_kinks(problem: OCP, solution: Solution) -> list[str]:

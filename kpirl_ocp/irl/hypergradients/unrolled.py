@@ -164,7 +164,7 @@ def _with_kinks(
 ) -> HypergradientResult:
     """With a failure where the loss, or a function of psi, is not smooth at the last iterate."""
     solution, data = result.certificate.solution, data_of(loss, problem, demonstration)
-    kinks = LossAt(problem, loss, data).kinks(solution.trajectory) + parameter_kinks(problem, solution)
+    kinks = LossAt(problem, loss, data, solution.trajectory).kinks + parameter_kinks(problem, solution)
     certificate = replace(result.certificate, failures=(*result.certificate.failures, *kinks))
     return result._replace(certificate=certificate)
 

@@ -110,6 +110,11 @@ def _built(problem: OCP, builds: tuple[Build, ...], build: Build) -> Call:
     return Call(_native(problem, builds)[builds.index(build)])
 
 
+def native(problem: OCP, build: Build) -> ca.Function:
+    """The function `build(problem)`; compiled, unless the problem is too small to repay it."""
+    return _native(problem, (build,))[0]
+
+
 @lru_cache(maxsize=512)
 def _native(problem: OCP, builds: tuple[Build, ...]) -> list[ca.Function]:
     functions = [build(problem) for build in builds]

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -16,6 +13,7 @@ from numpy.typing import NDArray
 
 import kpirl_ocp.ocp.interior_point.library as c
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.codegen.numpy_calls import Build, native
 from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachine
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare
@@ -25,7 +23,7 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, StageValues, check_guess
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
-_PROBLEMS = 64  # whose memory and functions are kept
+_FUNCTIONS = 16  # that a core keeps besides those that it solves with
 STATUS = {
     0: Status.CONVERGED,
     1: Status.STEPS_TAKEN,
@@ -58,6 +56,31 @@ class Core:
         self._schedule = np.ascontiguousarray(problem.schedule, float)
         self._residuals, self._view = c.Residuals(), c.View()
         self._evaluations = 0
+        self._functions: OrderedDict[Build, tuple[VirtualMachine, Any]] = OrderedDict()
+
+    @property
+    def library(self) -> Any:
+        """The C code."""
+        return self._library
+
+    @property
+    def address(self) -> int:
+        """Of the structure `kpirl_mpc_core`."""
+        return int(self._core)
+
+    def function(self, build: Build) -> int:
+        """The address of a C function pointer to `build(problem)`, which works in memory of this core.
+
+        It is called with structures of pointers to its arguments and to its results, in their order.
+        """
+        if build not in self._functions:
+            while len(self._functions) >= _FUNCTIONS:
+                self._functions.popitem(last=False)
+            function = native(self.problem, build)
+            evaluator = VirtualMachine(function, (tuple(function.name_in()), tuple(function.name_out())))
+            self._functions[build] = evaluator, evaluator.pointer
+        self._functions.move_to_end(build)
+        return ctypes.addressof(self._functions[build][1])
 
     def solve(self, options: Any, wish: Compile, s0: Array, psi: Array, context: Array, guess: Guess) -> Solution:
         """Solve with settings `library.Options`; the GIL is released meanwhile."""
@@ -261,38 +284,3 @@ def check_multipliers(problem: OCP, multipliers: Multipliers) -> None:
             raise ProblemError(
                 f"the guess's multipliers.{name} must be {shape}, got {given}: it is of another problem."
             )
-
-
-class _Cores:
-    """Cores that nobody uses at the moment, of the problems that were solved last. Shared by all threads."""
-
-    def __init__(self) -> None:
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin anew, as a forked process must: the lock may have been held."""
-        self._lock = threading.Lock()
-        self._idle: OrderedDict[OCP, list[Core]] = OrderedDict()
-
-    @contextmanager
-    def borrow(self, problem: OCP) -> Iterator[Core]:
-        """One that is idle, or a new one; it belongs to the caller until the context ends."""
-        with self._lock:
-            idle = self._idle.setdefault(problem, [])
-            self._idle.move_to_end(problem)
-            while len(self._idle) > _PROBLEMS:
-                self._idle.popitem(last=False)
-            core = idle.pop() if idle else None
-        core = core or Core(problem)
-        yield core
-        with self._lock:
-            idle.append(core)
-
-
-_cores = _Cores()
-os.register_at_fork(after_in_child=_cores.forget)
-
-
-def borrow_core(problem: OCP) -> AbstractContextManager[Core]:
-    """A core for a problem, for the time of a context. Those of the last `_PROBLEMS` problems are kept."""
-    return _cores.borrow(problem)

@@ -136,6 +136,53 @@ System = _structure(
     scale=REAL,
 )
 Triple = _structure("Triple", x=POINTER, costates=POINTER, forces=POINTER, start=POINTER)
+Rows = _structure(
+    "Rows",
+    **dict.fromkeys(("n_free", "n_bounds", "n_decisions"), INT),
+    **dict.fromkeys(("free", "entries", "decisions", "inequality", "equality"), POINTER),
+    **dict.fromkeys(("signs", "limits", "largest_bound", "normal", "uniform", "spread"), POINTER),
+)
+KKT = _structure(
+    "KKT",
+    system=System,
+    rows=POINTER,
+    dimensions=Dimensions,
+    numbers=Numbers,
+    point=Triple,
+    adjoint=Triple,
+    barrier=REAL,
+    **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "softest"), POINTER),
+    spare=Factors,
+    **dict.fromkeys(("matrices", "work"), POINTER),
+    **dict.fromkeys(("lowest", "qualification", "step", "margin"), REAL),
+    **dict.fromkeys(("factored", "stepped"), INT),
+)
+Evidence = _structure(
+    "Evidence",
+    **dict.fromkeys(("curvature", "qualification", "step", "margin", "change", "kink", "linear_residual"), REAL),
+)
+ByParameters = _structure("ByParameters", psi=POINTER, s0=POINTER, context=POINTER)
+_OF_SYSTEMS = {
+    "rows_times": 3,
+    "rows_push": 3,
+    "system_balance": 3,
+    "defects_times": 3,
+    "kkt_init": 4,
+    "kkt_evaluate": 2,
+    "kkt_take": 2,
+    "kkt_select": 2,
+    "kkt_factor": 1,
+    "kkt_newton": 2,
+    "kkt_solve": 3,
+    "kkt_adjoint": 2,
+    "kkt_change": 4,
+    "kkt_pull": 4,
+    "weigh": 7,
+    "certify": 8,
+    "point_sizes": 4,
+    "kink_in_parameters": 5,
+    "kink_of_loss": 8,
+}  # functions of `c/kpirl_mpc_system.h` and `c/kpirl_mpc_kkt.h`, and how many pointers they take
 LOG = ctypes.CFUNCTYPE(None, POINTER, ctypes.POINTER(Iteration))
 
 
@@ -169,7 +216,7 @@ def read(address: int, size: int) -> Array:
 def _layout() -> int:
     """The sizes of all structures that cross over."""
     crossing = (Dimensions, Model, Bounds, Numbers, Options, Start, View, Residuals, Iteration)
-    kinds = (*crossing, Buffered, CompiledFunction, System, Triple)
+    kinds = (*crossing, Buffered, CompiledFunction, System, Triple, Rows, KKT, Evidence, ByParameters)
     return sum((i + 1) * ctypes.sizeof(kind) for i, kind in enumerate(kinds))
 
 
@@ -206,16 +253,10 @@ def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
     core.kpirl_mpc_core_set_model.argtypes = [POINTER] * 2
     core.kpirl_mpc_core_evaluate_at.argtypes = [POINTER, POINTER, POINTER, INT]
     core.kpirl_mpc_core_gradient.argtypes = [POINTER] * 2
-    core.kpirl_mpc_system_factor.argtypes = core.kpirl_mpc_system_curvature.argtypes = [POINTER] * 2
-    core.kpirl_mpc_system_balance.argtypes = core.kpirl_mpc_rows_times.argtypes = [POINTER] * 3
-    core.kpirl_mpc_rows_push.argtypes = [POINTER] * 3
-    core.kpirl_mpc_row_sizes.argtypes, core.kpirl_mpc_force_shares.argtypes = [POINTER] * 2, [POINTER] * 4
-    core.kpirl_mpc_system_scratch.argtypes = [POINTER]
-    core.kpirl_mpc_system_solve.argtypes = [POINTER, POINTER, REAL, INT, POINTER]
-    core.kpirl_mpc_system_change.argtypes = [POINTER] * 4
-    core.kpirl_mpc_system_softest.argtypes = [POINTER, INT, POINTER, POINTER]
-    core.kpirl_mpc_system_qualification.argtypes = core.kpirl_mpc_decision_norm.argtypes = [POINTER, POINTER]
-    for name in ("system_solve", "system_change", "system_softest", "system_qualification", "decision_norm"):
+    for name, count in _OF_SYSTEMS.items():
+        getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER] * count
+    for name in ("kkt_solve", "kkt_adjoint", "kkt_change", "kink_in_parameters", "kink_of_loss"):
         getattr(core, f"kpirl_mpc_{name}").restype = REAL
+    core.kpirl_mpc_kkt_init.restype = ctypes.c_size_t
     core.kpirl_mpc_core_view.argtypes = core.kpirl_mpc_bound_multipliers.argtypes = [POINTER] * 2
     return core

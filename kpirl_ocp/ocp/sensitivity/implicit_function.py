@@ -10,16 +10,19 @@ Whether the derivative exists is for a certificate to say (`sensitivity`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+import ctypes
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.conditions import parameter_derivatives
+from kpirl_ocp.ocp.interior_point import library as c
+from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, PrimalDual, linearise, primal_dual
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, PrimalDual, Triple, linearise, primal_dual
 from kpirl_ocp.types import Array, Solution
 
 
@@ -30,48 +33,15 @@ class ByParameters(NamedTuple):
     s0: Array
     context: Array
 
-
-@dataclass(frozen=True)
-class WeightedConditions:
-    """The sum of weights times the KKT conditions at a point, as a function of psi, s_0 and the context."""
-
-    instance: Instance
-    point: PrimalDual
-    weights: PrimalDual
-
-    def gradients(self, by_start: Array) -> ByParameters:
-        """Its derivatives; that by s_0 is given."""
-        by_psi, by_context = self.gradients_at(self.instance.psi, self.instance.context)
-        return ByParameters(by_psi, by_start, by_context)
-
-    def gradients_at(self, psi: Array, context: Array) -> tuple[Array, Array]:
-        """Those by psi and the context, taken at others than those of the instance."""
-        split, at, w = self.instance.rows.split, self.point, self.weights
-        by_psi, by_context = call(self.instance.problem, parameter_derivatives.pull)(
-            at.x, psi, context, at.costates, *split(at.forces)[1:], w.x, w.costates, *split(w.forces)[1:]
-        )
-        return by_psi, by_context
+    @classmethod
+    def empty(cls, problem: OCP) -> ByParameters:
+        """Arrays to be filled."""
+        return cls(*(np.empty(size) for size in (problem.n_parameters, problem.n_states, problem.n_context)))
 
     @property
-    def flat(self) -> Array:
-        """The weights of `conditions`."""
-        return np.concatenate(
-            [self.weights.x, self.weights.costates, self.weights.forces[self.instance.rows.n_bounds :]]
-        )
-
-    def conditions(self, direction: ByParameters, length: float) -> Array:
-        """Gradient of the Lagrangian, defects, path constraints and equalities when psi, s_0 and the context move."""
-        instance, free = self.instance, self.instance.problem.free_start
-        moved = replace(
-            instance,
-            psi=instance.psi + length * direction.psi,
-            s0=instance.s0 + length * direction.s0,
-            context=instance.context + length * direction.context,
-        )
-        x = self.point.x.copy()
-        x[: len(free)] += np.where(free, 0.0, length * direction.s0)
-        at = moved.values(replace(self.point, x=x))
-        return np.concatenate([at.gradient, at.defects, at.path, at.equality])
+    def structure(self) -> Any:
+        """For the C code."""
+        return c.ByParameters(*(part.ctypes.data for part in self))
 
 
 @dataclass(frozen=True)
@@ -90,21 +60,13 @@ class ImplicitFunction:
 
     def pull(self, adjoint: PrimalDual) -> ByParameters:
         """Gradients of a function of x, from the solution of its adjoint system (`Factorisation.adjoint`)."""
-        return ByParameters(*(-by for by in self.weighted(adjoint).gradients(self._by_start(adjoint))))
-
-    def weighted(self, adjoint: PrimalDual) -> WeightedConditions:
-        """The conditions, weighed by an adjoint; of smoothed rows with the change of their forces."""
-        system = self.system
-        forces = adjoint.forces
-        if system.instance.barrier > 0:
-            forces = forces + system.stiffness * system.linear.times(adjoint.x)
-        return WeightedConditions(system.instance, system.point, replace(adjoint, forces=forces))
-
-    def _by_start(self, adjoint: PrimalDual) -> Array:
-        """Derivative (n_s,) of the weighted conditions by the given entries of s_0."""
         problem = self.system.instance.problem
-        balance = self.system.linear.balance([adjoint.x, adjoint.costates, adjoint.forces])
-        return np.where(problem.free_start, 0.0, balance[: problem.n_states])
+        found, weights = ByParameters.empty(problem), Triple(PrimalDual(adjoint.x, adjoint.costates, +adjoint.forces))
+        structure = found.structure
+        with borrow_core(problem) as core:
+            addresses = core.function(parameter_derivatives.pull), weights.address
+            core.library.kpirl_mpc_kkt_pull(self.system.address, *addresses, ctypes.addressof(structure))
+        return ByParameters(*(-by for by in found))
 
     def push(self, direction: ByParameters) -> tuple[PrimalDual, float]:
         """Change of the solution when psi, s_0 and the context move, and the relative residual of its system.
@@ -117,5 +79,6 @@ class ImplicitFunction:
             at.x, instance.psi, instance.context, at.costates, z, nu, direction.psi, direction.context
         )
         values = np.concatenate([np.zeros(instance.rows.n_bounds), dpath, dequality])  # change of all rows
-        right = -dr - system.linear.transposed_times(system.stiffness * values)
-        return self.factors.solve(right, -ddefects, np.where(system.active, -values, 0.0), direction.s0)
+        right = -dr - system.transposed_times(system.stiffness * values)
+        fixed = np.where(system.active, -values, 0.0)
+        return self.factors.solve(PrimalDual(right, -ddefects, fixed), direction.s0)

@@ -10,27 +10,26 @@ Smoothed with a barrier parameter tau, every inequality g <= 0 leaves C and adds
 instead, with mu = tau / slack; only equalities stay in C.
 
 No unit counts: entries of x are compared with the largest size of their kind over the horizon, forces with the others
-that they are in balance with, and decisions by the curvature that each has on its own.
+that they are in balance with, and decisions by the curvature that each has on its own. The arithmetic is in C:
+`ocp/interior_point/c/kpirl_mpc_kkt.h`.
 """
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from kpirl_ocp.ocp.interior_point.core import borrow_core
+from kpirl_ocp.ocp.interior_point import library as c
+from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.constraints import Inequalities
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives, StageValues
-from kpirl_ocp.ocp.sensitivity.linear_system import LinearSystem
 from kpirl_ocp.ocp.sensitivity.rows import Rows, rows_of
 from kpirl_ocp.types import Array, Mask, Solution
-
-_NOTHING = 1e-9  # an entry of x that is smaller everywhere has no size of its own
-_LEAST = 1e-12  # share of the largest curvature, in units of the cost, below which a decision has none of its own
 
 
 @dataclass(frozen=True)
@@ -76,98 +75,145 @@ class PrimalDual:
     costates: Array
     forces: Array
 
-    def plus(self, other: PrimalDual, factor: float = 1.0) -> PrimalDual:
-        """This point moved along another."""
-        pairs = ((self.x, other.x), (self.costates, other.costates), (self.forces, other.forces))
-        return PrimalDual(*(one + factor * move for one, move in pairs))
 
-
-@dataclass(frozen=True)
 class KKTSystem:
-    """First and second derivatives at a point; rows are listed as in `Rows`.
+    """First and second derivatives at a point, and the active rows; rows are listed as in `Rows`.
 
-    linear: the linear algebra of these derivatives.
-    slack: (n_rows,) of the inequalities; of equalities minus their value. Rows are the Jacobian of -slack.
-    active: (n_rows,) which rows are constraints.
-    stiffness: (n_rows,) mu / slack of smoothed rows, zero for the others.
+    `linearise` makes one. Arrays that it shows are copies.
     """
 
-    instance: Instance
-    point: PrimalDual
-    derivatives: StageDerivatives
-    linear: LinearSystem
-    slack: Array
-    active: Mask
-    stiffness: Array
+    def __init__(self, instance: Instance, point: PrimalDual) -> None:
+        """Memory for the C code, with a point in it; without derivatives."""
+        rows = instance.rows
+        self.instance, self.point, self._library = instance, point, c.library()
+        self.sizes_of_parts = len(point.x), len(point.costates), len(point.forces)
+        self._memory, self.structure = np.empty(rows.n_memory), c.KKT()
+        given = ctypes.addressof(rows.dimensions), ctypes.addressof(rows.structure)
+        self._library.kpirl_mpc_kkt_init(self.address, *given, self._memory.ctypes.data)
+        given_numbers = instance.s0, instance.psi, instance.context, instance.problem.schedule
+        numbers = [np.ascontiguousarray(array, float) for array in given_numbers]
+        self._kept: list[Any] = numbers
+        self.structure.numbers = c.Numbers(*(array.ctypes.data for array in numbers))
+        self.structure.barrier = instance.barrier
+        parts = (point.x, point.costates, point.forces)
+        for name, part in zip(("x", "costates", "forces"), parts, strict=True):
+            self._view(getattr(self.structure.point, name), len(part))[:] = part
 
     @property
-    def finite(self) -> bool:
-        """True if no derivative holds NaN or infinity."""
-        d = self.derivatives
-        parts = (d.F, d.G, d.E, d.H, d.gradient, self.stiffness, self.point.x)
-        return all(np.isfinite(part).all() for part in parts)
+    def address(self) -> int:
+        """Of the structure `kpirl_mpc_kkt`."""
+        return ctypes.addressof(self.structure)
+
+    def take(self, derivatives: StageDerivatives) -> None:
+        """Take derivatives that are known at the point."""
+        names = ("defects", "path", "equality", "gradient", "F", "G", "E", "H")
+        arrays = {name: np.ascontiguousarray(getattr(derivatives, name), float) for name in names}
+        self._kept += arrays.values()
+        view = c.View(**{name: array.ctypes.data for name, array in arrays.items()})
+        self._library.kpirl_mpc_kkt_take(self.address, ctypes.addressof(view))
+
+    def evaluate(self) -> None:
+        """Find the derivatives at the point."""
+        with borrow_core(self.instance.problem) as core:
+            self._library.kpirl_mpc_kkt_evaluate(self.address, core.address)
+
+    def select(self, active: Mask | None) -> None:
+        """Choose the active rows (n_rows,), by default those that the point suggests."""
+        chosen = np.zeros(0) if active is None else np.ascontiguousarray(active, float)
+        address = None if active is None else chosen.ctypes.data
+        self.finite = bool(self._library.kpirl_mpc_kkt_select(self.address, address))
+
+    @property
+    def active(self) -> Mask:
+        """(n_rows,) which rows are constraints."""
+        return self._of_system("active", self.sizes_of_parts[2]) != 0
+
+    @property
+    def stiffness(self) -> Array:
+        """(n_rows,) mu / slack of smoothed rows, zero for the others."""
+        return self._of_system("sigma", self.sizes_of_parts[2])
 
     @property
     def sizes(self) -> Array:
         """(n_w,) the largest absolute value of each entry of x over the horizon, finite bounds included."""
-        return self.linear.sizes
+        return self._of_system("sizes", self.sizes_of_parts[0])
 
     @property
-    def curvature(self) -> Array:
-        """(n_w,) an upper bound of the curvature of each entry of x within its own and the next stage."""
-        return self.linear.curvature
-
-    @cached_property
     def roots(self) -> Array:
         """(n_decisions,) of the curvature of each decision by itself, the largest over the horizon."""
-        rows = self.instance.rows
-        energy = self.curvature * self.sizes**2  # in the unit of the cost
-        most = energy.max(initial=0.0)
-        own = rows.largest_of_kind(energy)[rows.decisions]
-        own = np.where(own > _LEAST * most, own, most or 1.0)
-        return np.sqrt(own) / self.sizes[rows.decisions]
+        return self._of_system("roots", len(self.instance.rows.decisions))
 
-    @cached_property
-    def pushing(self) -> Array:
-        """Multipliers (n_rows,) of active and of smoothed rows, the latter tau / slack; zero for the others."""
-        forces = np.where(self.active, self.point.forces, 0.0)
-        if self.instance.barrier > 0:
-            with np.errstate(divide="ignore"):
-                forces = np.where(self.instance.rows.inequality, self.instance.barrier / self.slack, forces)
-        return forces
+    @property
+    def derivatives(self) -> StageDerivatives:
+        """At the point."""
+        problem, (n_w, n_c, m) = self.instance.problem, self.sizes_of_parts
+        T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
+        matrices = {
+            "F": T * n_s * n_x,
+            "G": T * n_x * problem.n_path + n_s * problem.n_terminal,
+            "E": T * n_x * problem.n_path_equality + n_s * problem.n_terminal_equality,
+            "H": T * n_x * n_x + n_s * n_s,
+        }
+        _, path, equality = self.instance.rows.split(-c.read(self.structure.slack, m))
+        return StageDerivatives(
+            defects=c.read(self.structure.defects, n_c),
+            path=path,
+            equality=equality,
+            gradient=c.read(self.structure.gradient, n_w),
+            **{name: self._of_system(name, size) for name, size in matrices.items()},
+        )
 
-    @cached_property
-    def newton(self) -> list[Array]:
-        """The right-hand side (r, d, c, s_0) of a Newton step from x, the costates and `pushing`."""
-        instance, d = self.instance, self.derivatives
-        missing = self.pushing.copy()  # the gradient holds the forces of path constraints and equalities
-        missing[instance.rows.n_bounds :] -= self.point.forces[instance.rows.n_bounds :]
-        unbalanced = d.gradient + self.linear.transposed_times(missing)
-        return [-unbalanced, -d.defects, np.where(self.active, self.slack, 0.0), np.zeros(len(instance.s0))]
+    def times(self, x: Array) -> Array:
+        """rows x (n_rows,)."""
+        return self._filled("rows_times", self.sizes_of_parts[2], x)
 
-    @cached_property
-    def successor_sizes(self) -> Array:
-        """(T n_s,) the sizes of s_1 .. s_T."""
-        n_s = len(self.instance.s0)
-        return np.tile(self.sizes[-n_s:], self.instance.problem.horizon)
+    def transposed_times(self, forces: Array) -> Array:
+        """rows' forces (n_w,)."""
+        pushed = np.zeros(self.sizes_of_parts[0])
+        self._library.kpirl_mpc_rows_push(self.address, forces.ctypes.data, pushed.ctypes.data)
+        return pushed
 
     def defects_along(self, x: Array) -> Array:
         """F_t x_t - s_{t+1} (T n_s,)."""
-        n_s, n_x = len(self.instance.s0), self.instance.rows.n_x
-        stages = x[:-n_s].reshape(-1, n_x)
-        F = self.derivatives.F.reshape(-1, n_x, n_s)
-        return ((stages[:, None, :] @ F)[:, 0] - np.vstack([stages[1:, :n_s], x[-n_s:]])).ravel()
+        return self._filled("defects_times", self.sizes_of_parts[1], x)
+
+    def balance(self, point: PrimalDual) -> Array:
+        """(H + C' sigma C) x + A' lambda + C' mu (n_w,), given entries of s_0 included."""
+        balance, triple = np.empty(self.sizes_of_parts[0]), Triple(point)
+        self._library.kpirl_mpc_system_balance(self.address, triple.address, balance.ctypes.data)
+        return balance
+
+    def _of_system(self, name: str, size: int) -> Array:
+        return c.read(getattr(self.structure.system, name), size)
+
+    def _filled(self, name: str, size: int, x: Array) -> Array:
+        result, given = np.empty(size), np.ascontiguousarray(x, float)
+        getattr(self._library, f"kpirl_mpc_{name}")(self.address, given.ctypes.data, result.ctypes.data)
+        return result
+
+    def _view(self, address: int, size: int) -> Array:
+        first = (address - self._memory.ctypes.data) // self._memory.itemsize if size else 0
+        return self._memory[first : first + size]
+
+
+class Triple:
+    """x, costates and forces of a point, or the right-hand side of a system, for the C code."""
+
+    def __init__(self, point: PrimalDual, start: Array | None = None) -> None:
+        """start: (n_s,) given entries of s_0, of a right-hand side."""
+        arrays = [point.x, point.costates, point.forces, *([] if start is None else [start])]
+        self._kept = [np.ascontiguousarray(array, float) for array in arrays]
+        self._structure = c.Triple(*(array.ctypes.data for array in self._kept))
 
     @property
-    def constraint_sizes(self) -> Array:
-        """Sizes that slacks of h, g_T, e and e_T are compared with; 1 for rows that nothing moves."""
-        sizes = self.linear.row_sizes[self.instance.rows.n_bounds :]
-        return np.where(sizes > 0, sizes, 1.0)
+    def address(self) -> int:
+        """Of the structure `kpirl_mpc_triple`."""
+        return ctypes.addressof(self._structure)
 
-    def margins(self, forces: Array, slack: Array) -> Array:
-        """(n_rows,) relative forces of active and relative slacks of inactive rows."""
-        pushing = self.linear.relative_forces(forces, self.point.costates)
-        return np.where(self.active, pushing, self.linear.relative_slacks(slack))
+    @property
+    def point(self) -> PrimalDual:
+        """The arrays as they are now."""
+        return PrimalDual(*self._kept[:3])
 
 
 def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
@@ -191,32 +237,10 @@ def linearise(
 
     derivatives: at that point, where a solver ended with them.
     """
-    rows = instance.rows
-    d = derivatives or instance.derivatives(point)
-    slack = np.concatenate([rows.bounds.slack(point.x), -d.path, -d.equality])
-    stiffness = np.zeros(len(slack))
-    if instance.barrier > 0:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            stiffness = np.where(rows.inequality, instance.barrier / slack**2, 0.0)
-    linear = LinearSystem(rows, d, sizes_of(rows, point.x))
-    if active is None:
-        active = rows.equality if instance.barrier > 0 else _active(rows, linear, point, slack)
-    linear.select(active, stiffness)
-    return KKTSystem(instance, point, d, linear, slack, active, stiffness)
-
-
-def sizes_of(rows: Rows, x: Array) -> Array:
-    """(n_w,) see `KKTSystem.sizes`."""
-    largest = rows.largest_of_kind(np.maximum(np.abs(x), rows.largest_bound))
-    return np.where(largest > _NOTHING, largest, 1.0)
-
-
-def _active(rows: Rows, linear: LinearSystem, point: PrimalDual, slack: Array) -> Mask:
-    """The active rows: equalities, and inequalities whose multiplier is above their slack, both relative.
-
-    Comparing the two, rather than either with a threshold, follows mu * slack -> 0: an inactive row with a tiny
-    multiplier stays inactive, an active row with a tiny slack stays active. Near a change of the active set the guess
-    may be wrong; `kpirl_ocp.ocp.sensitivity.nearby_tests` finds out.
-    """
-    pushing = linear.relative_forces(point.forces, point.costates)
-    return np.where(rows.inequality, (pushing > 0) & (pushing > linear.relative_slacks(slack)), rows.equality)
+    system = KKTSystem(instance, point)
+    if derivatives is None:
+        system.evaluate()
+    else:
+        system.take(derivatives)
+    system.select(active)
+    return system

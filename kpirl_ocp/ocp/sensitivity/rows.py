@@ -6,11 +6,15 @@ e_T. Unknowns are in the order of time, x = (s_0, u_0, s_1, .., s_T).
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
+from kpirl_ocp.ocp.interior_point import library as c
+from kpirl_ocp.ocp.interior_point.core import dimensions_of
 from kpirl_ocp.ocp.problem.constraints import BoundRows
 from kpirl_ocp.ocp.problem.layout import by_stage, limits, live_equalities, n_inequalities, unpack
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -61,13 +65,52 @@ class Rows:
         np.maximum.at(largest, self.bounds.entries, np.abs(self.bounds.limits))
         return largest
 
-    def largest_of_kind(self, values: Array) -> Array:
-        """(n_w,) of values (n_w,) >= 0 the largest over the horizon, of every state and action."""
-        n_s = self.problem.n_states
-        stages, last = values[:-n_s].reshape(-1, self.n_x), values[-n_s:]
-        largest = stages.max(axis=0, initial=0.0)
-        largest[:n_s] = np.maximum(largest[:n_s], last)
-        return np.concatenate([np.tile(largest, len(stages)), largest[:n_s]])
+    @cached_property
+    def dimensions(self) -> Any:
+        """Those of the problem for the C code."""
+        return dimensions_of(self.problem)
+
+    @cached_property
+    def structure(self) -> Any:
+        """The rows for the C code, `kpirl_mpc_rows`."""
+        rows = c.Rows(n_free=len(self.free), n_bounds=self.n_bounds, n_decisions=len(self.decisions))
+        for name, array in self._arrays.items():
+            setattr(rows, name, array.ctypes.data)
+        return rows
+
+    @cached_property
+    def _arrays(self) -> dict[str, Any]:
+        """Contents of the structure. Random numbers are the same for every problem of a size."""
+        n_w, m, bounds = len(self.largest_bound), len(self.inequality), self.bounds
+        longest = max(n_w, m, self.problem.n_parameters, self.problem.n_context)
+        integers: dict[str, Any] = {"free": self.free, "entries": bounds.entries, "decisions": self.decisions}
+        integers |= {"inequality": self.inequality, "equality": self.equality}
+        reals = {"signs": bounds.signs, "limits": bounds.limits, "largest_bound": self.largest_bound}
+        normal, uniform, sides = (np.random.default_rng(0) for _ in range(3))
+        reals |= {"normal": normal.normal(size=max(n_w, m)), "uniform": uniform.uniform(0.5, 1.0, longest)}
+        reals["spread"] = sides.choice([-1.0, 1.0], n_w) * reals["uniform"][:n_w]
+        return {name: np.ascontiguousarray(x, np.intc) for name, x in integers.items()} | {
+            name: np.ascontiguousarray(x, float) for name, x in reals.items()
+        }
+
+    @property
+    def uniform(self) -> Array:
+        """Random numbers in [1/2, 1), as many as the longest array of the problem has."""
+        return self._arrays["uniform"]
+
+    def sizes_of(self, x: Array) -> Array:
+        """(n_w,) the largest absolute value of each entry of x over the horizon, finite bounds included."""
+        sizes, given = np.empty(len(x)), np.ascontiguousarray(x, float)
+        structures = ctypes.addressof(self.dimensions), ctypes.addressof(self.structure)
+        c.library().kpirl_mpc_point_sizes(*structures, given.ctypes.data, sizes.ctypes.data)
+        return sizes
+
+    @cached_property
+    def n_memory(self) -> int:
+        """Numbers that the C code keeps of a point, `kpirl_mpc_kkt_init`."""
+        empty = c.KKT()
+        given = (ctypes.addressof(x) for x in (empty, self.dimensions, self.structure))
+        return int(c.library().kpirl_mpc_kkt_init(*given, None))
 
 
 @lru_cache(maxsize=64)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +20,6 @@ from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives
 from kpirl_ocp.ocp.sensitivity.certificate import (
-    KINK,
     Policy,
     SensitivityCertificate,
     certified,
@@ -29,10 +27,10 @@ from kpirl_ocp.ocp.sensitivity.certificate import (
     require,
     undefined,
 )
+from kpirl_ocp.ocp.sensitivity.evidence import Evidence, measure
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, PrimalDual, linearise, primal_dual
-from kpirl_ocp.ocp.sensitivity.nearby_tests import Nearby, kink_along, kink_in_parameters, newton_step
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, linearise, primal_dual
 from kpirl_ocp.types import Array, Solution
 
 
@@ -102,11 +100,7 @@ class Sensitivity:
         if not (self._system.finite and np.isfinite(slope).all()):
             psi, s0, context = (np.full(size, np.nan) for size in self._sizes)
             return Gradients(psi, s0, context, self._undefined())
-        function = self._factorised
-        adjoint, residual = function.factors.adjoint(slope)
-        found = function.pull(adjoint)
-        evidence = self._evidence(slope, adjoint, adjoint.x, residual)
-        evidence["kink"] = max(evidence["kink"], self._kink_in_parameters(adjoint, found))
+        found, evidence = measure(self._system, self._nearby, slope)
         s0 = np.where(self.problem.free_start, 0.0, states[0] + found.s0)
         return Gradients(found.psi, s0, found.context, self._certificate(evidence))
 
@@ -130,11 +124,9 @@ class Sensitivity:
         if not self._system.finite:
             states, actions = (np.full(part.shape, np.nan) for part in (self.solution.states, self.solution.actions))
             return Tangent(states, actions, self._undefined())
-        function = self._factorised
-        change, residual = function.push(ByParameters(dpsi, ds0, dcontext))
-        adjoint, _ = function.factors.adjoint(change.x)
-        evidence = self._evidence(change.x, adjoint, change.x, residual)
-        evidence["kink"] = max(evidence["kink"], self._kink_in_parameters(adjoint, function.pull(adjoint)))
+        change, residual = self._factorised.push(ByParameters(dpsi, ds0, dcontext))
+        _, evidence = measure(self._system, self._nearby, change.x, change.x)
+        evidence = evidence._replace(linear_residual=residual)
         problem = self.problem
         states, actions = split(change.x, problem.horizon, problem.n_states, problem.n_actions)
         return Tangent(states, actions, self._certificate(evidence))
@@ -149,43 +141,22 @@ class Sensitivity:
         return ImplicitFunction(self._system, Factorisation(self._system))
 
     @cached_property
-    def _nearby(self) -> Nearby:
-        return newton_step(self._system, self._factorised.factors)
-
-    @cached_property
-    def _nearby_system(self) -> KKTSystem:
-        return linearise(self._system.instance, self._nearby.point, self._system.active)
-
-    def _kink_in_parameters(self, adjoint: PrimalDual, found: ByParameters) -> float:
-        return kink_in_parameters(self._factorised.weighted(adjoint), ByParameters(*(-by for by in found)))
+    def _nearby(self) -> KKTSystem:
+        return KKTSystem(self._system.instance, self._system.point)
 
     def _undefined(self) -> SensitivityCertificate:
         certificate = undefined(self.solution, self._system.active)
         require(self.policy, certificate)
         return certificate
 
-    def _evidence(self, slope: Array, adjoint: PrimalDual, direction: Array, residual: float) -> dict[str, Any]:
-        """Measurements: the adjoint of `slope` has to be stable, and the problem smooth along `direction`."""
-        factors = self._factorised.factors
-        step, margin, change, kink = np.inf, np.nan, np.inf, np.inf
-        if np.isfinite(adjoint.x).all() and np.isfinite(direction).all():
-            step, margin = self._nearby.step, self._nearby.margin
-            change = factors.change_nearby(self._nearby_system, slope, adjoint)
-            kink = kink_along(self._system, direction, KINK)
-        return {
-            "kkt_residual": self.solution.residuals.worst,
-            "curvature": factors.curvature,
-            "qualification": factors.qualification,
-            "step": step,
-            "margin": margin,
-            "change": change,
-            "kink": kink,
-            "linear_residual": residual,
-        }
-
-    def _certificate(self, evidence: dict[str, Any]) -> SensitivityCertificate:
+    def _certificate(self, evidence: Evidence) -> SensitivityCertificate:
+        solution = self.solution
         certificate = certified(
-            solution=self.solution, active=self._system.active, barrier=self.solution.barrier, **evidence
+            solution=solution,
+            kkt_residual=solution.residuals.worst,
+            active=self._system.active,
+            barrier=solution.barrier,
+            **evidence._asdict(),
         )
         require(self.policy, certificate)
         return certificate

@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.interior_point import library as c
-from kpirl_ocp.ocp.interior_point.core import Core, borrow_core
+from kpirl_ocp.ocp.interior_point.core import Core
+from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.interior_point.machine_code import Compile
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 #include "kpirl_mpc_library.h"
 
-#include "kpirl_mpc_system.h"
+#include "kpirl_mpc_kkt.h"
 
 #include <string.h>
 
@@ -35,7 +35,8 @@ int kpirl_mpc_layout(void) {
                                  sizeof(kpirl_mpc_numbers),    sizeof(kpirl_mpc_options),   sizeof(kpirl_mpc_start),
                                  sizeof(kpirl_mpc_view),       sizeof(kpirl_mpc_residuals), sizeof(kpirl_mpc_iteration),
                                  sizeof(kpirl_mpc_buffered),   sizeof(kpirl_mpc_compiled),  sizeof(kpirl_mpc_system),
-                                 sizeof(kpirl_mpc_triple)};
+                                 sizeof(kpirl_mpc_triple),     sizeof(kpirl_mpc_rows),      sizeof(kpirl_mpc_kkt),
+                                 sizeof(kpirl_mpc_evidence),   sizeof(kpirl_mpc_by_parameters)};
   size_t sum = 0, i;
   for (i = 0; i < sizeof sizes / sizeof *sizes; ++i) sum += (i + 1) * sizes[i];
   return (int)sum;

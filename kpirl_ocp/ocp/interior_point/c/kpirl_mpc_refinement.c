@@ -12,14 +12,6 @@ static const real FOLLOWED = (real)1e-6; /* ... or this share of x, and the rela
 static const real NOTHING = (real)1e-8;  /* an x this much shorter than a free one is zero up to rounding */
 enum { CHANGES = 6 };
 
-static real *carve(kpirl_mpc_triple *triple, const kpirl_mpc_system *s, real *memory) {
-  triple->x = memory;
-  triple->costates = triple->x + kpirl_mpc_system_n_point(s);
-  triple->forces = triple->costates + s->horizon * s->n_states;
-  triple->start = triple->forces + kpirl_mpc_system_n_rows(s);
-  return triple->start + s->n_states;
-}
-
 static void copy_triple(const kpirl_mpc_system *s, const kpirl_mpc_triple *from, kpirl_mpc_triple *to) {
   memcpy(to->x, from->x, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
   memcpy(to->costates, from->costates, (size_t)(s->horizon * s->n_states) * sizeof(real));
@@ -29,8 +21,8 @@ static void copy_triple(const kpirl_mpc_system *s, const kpirl_mpc_triple *from,
 /* residual = right - system point. Entries of s_0 that are given have no equation but their value. */
 static void residual_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, const kpirl_mpc_triple *point,
                         kpirl_mpc_triple *residual) {
-  const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions, m = kpirl_mpc_system_n_rows(s);
-  int t, i, next = 0;
+  const int n_s = s->n_states, m = kpirl_mpc_system_n_rows(s);
+  int i, next = 0;
   kpirl_mpc_balance_and_rows(s, point, residual->x, residual->forces);
   for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) residual->x[i] = right->x[i] - residual->x[i];
   for (i = 0; i < m; ++i) residual->forces[i] = s->active[i] != 0 ? right->forces[i] - residual->forces[i] : 0;
@@ -40,14 +32,8 @@ static void residual_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right
     residual->start[i] = is_free ? 0 : right->start[i] - point->x[i];
     if (!is_free) residual->x[i] = 0;
   }
-  memset(residual->costates, 0, (size_t)(T * n_s) * sizeof(real));
-  for (t = 0; t < T; ++t)
-    kpirl_mpc_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, point->x + t * n_x, residual->costates + t * n_s);
-  for (t = 0; t < T; ++t)
-    for (i = 0; i < n_s; ++i) {
-      real *gap = residual->costates + t * n_s + i;
-      *gap = right->costates[t * n_s + i] - (*gap - point->x[(t + 1) * n_x + i]);
-    }
+  kpirl_mpc_defects_times(s, point->x, residual->costates);
+  for (i = 0; i < s->horizon * n_s; ++i) residual->costates[i] = right->costates[i] - residual->costates[i];
 }
 
 /* K (dx, dlambda) = (r + C' S c, d),  dmu = S (C dx - c)  with K the factorised matrix: point += step. Returns |dx|. */
@@ -150,8 +136,8 @@ real kpirl_mpc_system_solve(const kpirl_mpc_system *s, const kpirl_mpc_triple *r
   kpirl_mpc_triple at, residual;
   real *work = s->scratch + kpirl_mpc_system_inner_scratch(s), best = (real)INFINITY;
   int k;
-  work = carve(&at, s, work);
-  work = carve(&residual, s, work);
+  work = kpirl_mpc_place_triple(s, work, &at);
+  work = kpirl_mpc_place_triple(s, work, &residual);
   memset(at.x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
   copy_triple(s, &at, point);
   for (k = 0; k <= most; ++k) {
@@ -176,7 +162,7 @@ real kpirl_mpc_system_change(const kpirl_mpc_system *s, const kpirl_mpc_system *
   const real least = least_norm(s, right->x);
   const real whole = kpirl_mpc_larger(kpirl_mpc_decision_norm(s, point->x), NOTHING * least);
   kpirl_mpc_triple residual;
-  real *work = carve(&residual, s, s->scratch + kpirl_mpc_system_inner_scratch(s)), *before = work, last = 0, change = 0;
+  real *work = kpirl_mpc_place_triple(s, s->scratch + kpirl_mpc_system_inner_scratch(s), &residual), *before = work, last = 0, change = 0;
   int i, k;
   work = before + n_w;
   memcpy(before, point->x, (size_t)n_w * sizeof(real));

@@ -25,6 +25,14 @@ int kpirl_mpc_system_n_triple(const kpirl_mpc_system *s) {
   return kpirl_mpc_system_n_point(s) + s->horizon * s->n_states + kpirl_mpc_system_n_rows(s) + s->n_states;
 }
 
+real *kpirl_mpc_place_triple(const kpirl_mpc_system *s, real *memory, kpirl_mpc_triple *triple) {
+  triple->x = memory;
+  triple->costates = triple->x + kpirl_mpc_system_n_point(s);
+  triple->forces = triple->costates + s->horizon * s->n_states;
+  triple->start = triple->forces + kpirl_mpc_system_n_rows(s);
+  return triple->start + s->n_states;
+}
+
 int kpirl_mpc_system_scratch(const kpirl_mpc_system *s) {
   const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s), widest = n_w > m ? n_w : m;
   return kpirl_mpc_system_inner_scratch(s) + 3 * kpirl_mpc_system_n_triple(s) + 6 * n_w + (KPIRL_MPC_PRODUCTS + 2) * widest;
@@ -64,8 +72,7 @@ void kpirl_mpc_rows_push(const kpirl_mpc_system *s, const real *forces, real *pu
   block_push(s, s->E, s->n_equality, s->n_terminal_equality, forces + s->n_bounds + n_path(s), pushed);
 }
 
-/* product = H x + A' lambda */
-static void lagrangian_times(const kpirl_mpc_system *s, const real *x, const real *costates, real *product) {
+void kpirl_mpc_lagrangian_times(const kpirl_mpc_system *s, const real *x, const real *costates, real *product) {
   const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
   int t, i;
   memset(product, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
@@ -77,12 +84,22 @@ static void lagrangian_times(const kpirl_mpc_system *s, const real *x, const rea
   kpirl_mpc_symmetric_times_vector(s->H + (size_t)T * n_x * n_x, n_s, x + T * n_x, product + T * n_x);
 }
 
+void kpirl_mpc_defects_times(const kpirl_mpc_system *s, const real *x, real *defects) {
+  const int n_s = s->n_states, n_x = n_s + s->n_actions;
+  int t, i;
+  memset(defects, 0, (size_t)(s->horizon * n_s) * sizeof(real));
+  for (t = 0; t < s->horizon; ++t) {
+    kpirl_mpc_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, x + t * n_x, defects + t * n_s);
+    for (i = 0; i < n_s; ++i) defects[t * n_s + i] -= x[(t + 1) * n_x + i];
+  }
+}
+
 /* The same with the rows, whose values C x come out, too. */
 void kpirl_mpc_balance_and_rows(const kpirl_mpc_system *s, const kpirl_mpc_triple *at, real *balance, real *values) {
   const int m = kpirl_mpc_system_n_rows(s);
   real *forces = s->scratch;
   int i;
-  lagrangian_times(s, at->x, at->costates, balance);
+  kpirl_mpc_lagrangian_times(s, at->x, at->costates, balance);
   kpirl_mpc_rows_times(s, at->x, values);
   for (i = 0; i < m; ++i) forces[i] = at->forces[i] + s->sigma[i] * values[i];
   kpirl_mpc_rows_push(s, forces, balance);

@@ -29,10 +29,10 @@ typedef struct kpirl_mpc_system {
   const real *F;        /* (n_s, n_x) of every stage */
   const real *G, *E;    /* transposed: (n_x, n_h) and (n_x, n_e), of s_T behind them */
   const real *H;        /* (n_x, n_x), of s_T (n_s, n_s) behind; the lower triangle */
-  const real *sigma;    /* (m) */
-  const real *active;   /* (m) 0 or 1 */
-  const real *sizes;    /* (n_w) of the entries of x */
-  const real *roots;    /* (n_decisions) */
+  real *sigma;          /* (m) */
+  real *active;         /* (m) 0 or 1 */
+  real *sizes;          /* (n_w) of the entries of x */
+  real *roots;          /* (n_decisions) */
   real *lengths;        /* (m), 1 for rows that no decision moves */
   real *stiffness;      /* (m) S, zero where not active */
   kpirl_mpc_factors factors;
@@ -50,9 +50,16 @@ int kpirl_mpc_system_n_rows(const kpirl_mpc_system *system);
 int kpirl_mpc_system_n_triple(const kpirl_mpc_system *system);
 int kpirl_mpc_system_scratch(const kpirl_mpc_system *system);
 
+/* A triple in memory of kpirl_mpc_system_n_triple numbers; returns the end of it. */
+real *kpirl_mpc_place_triple(const kpirl_mpc_system *system, real *memory, kpirl_mpc_triple *triple);
+
 /* Products: values (m) = C x; pushed (n_w) += C' forces. */
 void kpirl_mpc_rows_times(const kpirl_mpc_system *system, const real *x, real *values);
 void kpirl_mpc_rows_push(const kpirl_mpc_system *system, const real *forces, real *pushed);
+
+/* product (n_w) = H x + A' lambda; and F_t x_t - s_{t+1} (T n_s) */
+void kpirl_mpc_lagrangian_times(const kpirl_mpc_system *system, const real *x, const real *costates, real *product);
+void kpirl_mpc_defects_times(const kpirl_mpc_system *system, const real *x, real *defects);
 
 /* balance (n_w) = (H + C' sigma C) x + A' lambda + C' mu, all entries of s_0 included. */
 void kpirl_mpc_system_balance(const kpirl_mpc_system *system, const kpirl_mpc_triple *point, real *balance);

@@ -1,0 +1,104 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The gradients of a function of a solution, and the evidence for them.
+ *
+ * A solution is only known to the solver's tolerance, so the active set was guessed, and second derivatives were taken beside the
+ * true solution. One Newton step on the KKT conditions leads (quadratically) closer to it: the step itself must be small, and
+ * every multiplier of an active row and slack of an inactive one positive after it; and the adjoint, solved again after it,
+ * must be the same. The step is lengthened by 1e-9 along the softest direction, because no solution is known better than
+ * that: at a fold or a flat minimum the adjoint then explodes.
+ */
+#include "kpirl_mpc_kkt.h"
+
+#include <string.h>
+
+static const real EXACT = (real)1e-13; /* relative residual at which refinement stops */
+enum { REFINEMENTS = 12 };
+
+static real worse(real a, real b) { return isnan(a) || isnan(b) ? (real)INFINITY : kpirl_mpc_larger(a, b); }
+
+/* ---- gradients ----------------------------------------------------------------------------------------------------- */
+
+real kpirl_mpc_kkt_solve(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *right, kpirl_mpc_triple *point) {
+  return kpirl_mpc_system_solve(&k->system, right, EXACT, REFINEMENTS, point);
+}
+
+real kpirl_mpc_kkt_adjoint(kpirl_mpc_kkt *k, const real *slope) {
+  const kpirl_mpc_system *s = &k->system;
+  kpirl_mpc_triple right;
+  kpirl_mpc_place_triple(s, k->work, &right);
+  memset(right.x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
+  memcpy(right.x, slope, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  return kpirl_mpc_kkt_solve(k, &right, &k->adjoint);
+}
+
+/* The derivative (n_s) of the weighted conditions by the given entries of s_0. */
+static void by_start(const kpirl_mpc_system *s, const kpirl_mpc_triple *weights, real *balance, real *by) {
+  int i;
+  kpirl_mpc_system_balance(s, weights, balance);
+  memcpy(by, balance, (size_t)s->n_states * sizeof(real));
+  for (i = 0; i < s->n_free; ++i) by[s->free[i]] = 0;
+}
+
+void kpirl_mpc_kkt_pull(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *function, kpirl_mpc_triple *adjoint,
+                        const kpirl_mpc_by_parameters *by) {
+  const kpirl_mpc_system *s = &k->system;
+  real *values = k->work;
+  int i;
+  by_start(s, adjoint, k->work, by->s0);
+  kpirl_mpc_rows_times(s, adjoint->x, values);
+  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) adjoint->forces[i] += s->sigma[i] * values[i];
+  if (kpirl_mpc_weigh(k, function, adjoint, k->numbers.psi, k->numbers.context, by->psi, by->context))
+    for (i = 0; i < k->dimensions.n_parameters; ++i) by->psi[i] = (real)NAN;
+}
+
+static void negate(real *values, int count) {
+  int i;
+  for (i = 0; i < count; ++i) values[i] = -values[i];
+}
+
+/* ---- evidence ------------------------------------------------------------------------------------------------------- */
+
+static void copy_triple(const kpirl_mpc_system *s, const kpirl_mpc_triple *from, kpirl_mpc_triple *to) {
+  memcpy(to->x, from->x, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  memcpy(to->costates, from->costates, (size_t)(s->horizon * s->n_states) * sizeof(real));
+  memcpy(to->forces, from->forces, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
+}
+
+/* How the adjoint of a slope changes where a Newton step leads to. */
+static real find_change(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const real *slope,
+                        const kpirl_mpc_triple *adjoint) {
+  if (!k->stepped) {
+    kpirl_mpc_kkt_step(k, nearby);
+    kpirl_mpc_kkt_evaluate(nearby, core);
+    kpirl_mpc_kkt_select(nearby, k->system.active);
+  }
+  copy_triple(&k->system, adjoint, &nearby->adjoint);
+  return kpirl_mpc_kkt_change(k, nearby, slope, &nearby->adjoint);
+}
+
+void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
+                       const real *slope, const real *direction, const kpirl_mpc_by_parameters *by,
+                       kpirl_mpc_evidence *evidence) {
+  const int n_w = kpirl_mpc_system_n_point(&k->system);
+  kpirl_mpc_triple *adjoint = &k->adjoint;
+  int finite;
+  kpirl_mpc_kkt_factor(k);
+  evidence->linear_residual = kpirl_mpc_kkt_adjoint(k, slope);
+  evidence->curvature = k->lowest;
+  evidence->qualification = k->qualification;
+  evidence->step = evidence->change = evidence->kink = (real)INFINITY;
+  evidence->margin = (real)NAN;
+  finite = kpirl_mpc_all_finite(adjoint->x, n_w) && (!direction || kpirl_mpc_all_finite(direction, n_w));
+  if (finite) {
+    evidence->change = find_change(k, nearby, core, slope, adjoint);
+    evidence->step = k->step;
+    evidence->margin = k->margin;
+    evidence->kink = kpirl_mpc_kink_along(k, core, direction ? direction : adjoint->x);
+  }
+  kpirl_mpc_kkt_pull(k, function, adjoint, by);
+  if (finite) evidence->kink = worse(evidence->kink, kpirl_mpc_kink_in_parameters(k, core, function, adjoint, by));
+  negate(by->psi, k->dimensions.n_parameters);
+  negate(by->s0, k->system.n_states);
+  negate(by->context, k->dimensions.n_context);
+}

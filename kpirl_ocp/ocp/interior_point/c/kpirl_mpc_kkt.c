@@ -1,0 +1,245 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The linearised KKT conditions of a point: memory, derivatives, active rows.
+ */
+#include "kpirl_mpc_kkt.h"
+
+#include <string.h>
+
+static const real NOTHING = (real)1e-9; /* an entry of x that is smaller everywhere has no size of its own */
+static const real LEAST = (real)1e-12;  /* share of the largest curvature, in units of the cost, below which one is none */
+enum { VECTORS = 12, OF_PARAMETERS = 8 };
+
+/* ---- memory -------------------------------------------------------------------------------------------------- */
+
+typedef struct arena {
+  real *base;
+  size_t used;
+} arena;
+
+static real *take(arena *from, size_t count) {
+  real *place = from->base ? from->base + from->used : NULL;
+  from->used += count;
+  return place;
+}
+
+static void take_triple(arena *from, const kpirl_mpc_system *s, kpirl_mpc_triple *triple) {
+  real *place = take(from, (size_t)kpirl_mpc_system_n_triple(s));
+  if (place) kpirl_mpc_place_triple(s, place, triple);
+}
+
+static void take_factors(arena *from, const kpirl_mpc_system *s, kpirl_mpc_factors *factors) {
+  const size_t T = (size_t)s->horizon, n_s = (size_t)s->n_states, n_u = (size_t)s->n_actions, n_free = (size_t)s->n_free;
+  factors->P = take(from, (T + 1) * n_s * n_s);
+  factors->W = take(from, T * n_u * n_u);
+  factors->Y = take(from, T * n_u * n_s);
+  factors->pivots = take(from, T * n_u);
+  factors->free_W = take(from, n_free * n_free);
+  factors->free_pivots = take(from, n_free);
+}
+
+static void set_sizes(kpirl_mpc_system *s, const kpirl_mpc_dimensions *of, const kpirl_mpc_rows *rows) {
+  s->horizon = of->horizon;
+  s->n_states = of->n_states;
+  s->n_actions = of->n_actions;
+  s->n_path = of->n_path;
+  s->n_equality = of->n_equality;
+  s->n_terminal = of->n_terminal;
+  s->n_terminal_equality = of->n_terminal_equality;
+  s->n_free = rows->n_free;
+  s->n_bounds = rows->n_bounds;
+  s->n_decisions = rows->n_decisions;
+  s->free = rows->free;
+  s->entries = rows->entries;
+  s->decisions = rows->decisions;
+  s->signs = rows->signs;
+}
+
+static size_t n_matrices(const kpirl_mpc_system *s) {
+  const size_t T = (size_t)s->horizon, n_s = (size_t)s->n_states, n_x = n_s + (size_t)s->n_actions;
+  const size_t rows = (size_t)(s->n_path + s->n_equality), last_rows = (size_t)(s->n_terminal + s->n_terminal_equality);
+  return T * n_x * (n_s + rows + n_x) + n_s * (last_rows + n_s);
+}
+
+size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, real *memory) {
+  kpirl_mpc_system *s = &k->system;
+  size_t n_w, m, n_p = (size_t)(dimensions->n_parameters + dimensions->n_context + dimensions->n_states);
+  arena from = {NULL, 0};
+  from.base = memory;
+  memset(k, 0, sizeof *k);
+  k->dimensions = *dimensions;
+  k->rows = rows;
+  set_sizes(s, dimensions, rows);
+  n_w = (size_t)kpirl_mpc_system_n_point(s);
+  m = (size_t)kpirl_mpc_system_n_rows(s);
+  s->sigma = take(&from, m);
+  s->active = take(&from, m);
+  s->sizes = take(&from, n_w);
+  s->roots = take(&from, (size_t)s->n_decisions);
+  s->lengths = take(&from, m);
+  s->stiffness = take(&from, m);
+  s->scratch = take(&from, (size_t)kpirl_mpc_system_scratch(s));
+  take_factors(&from, s, &s->factors);
+  take_factors(&from, s, &k->spare);
+  take_triple(&from, s, &k->point);
+  take_triple(&from, s, &k->adjoint);
+  k->gradient = take(&from, n_w);
+  k->defects = take(&from, (size_t)(s->horizon * s->n_states));
+  k->slack = take(&from, m);
+  k->pushing = take(&from, m);
+  k->curvature = take(&from, n_w);
+  k->row_sizes = take(&from, m);
+  k->softest = take(&from, n_w);
+  k->matrices = take(&from, n_matrices(s));
+  k->work = take(&from, VECTORS * (size_t)kpirl_mpc_system_n_triple(s) + OF_PARAMETERS * n_p);
+  return from.used;
+}
+
+/* ---- derivatives --------------------------------------------------------------------------------------------- */
+
+static void take_values(kpirl_mpc_kkt *k, const kpirl_mpc_view *from) {
+  const kpirl_mpc_system *s = &k->system;
+  const int n_path = s->horizon * s->n_path + s->n_terminal, m = kpirl_mpc_system_n_rows(s);
+  int i;
+  memcpy(k->gradient, from->gradient, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  memcpy(k->defects, from->defects, (size_t)(s->horizon * s->n_states) * sizeof(real));
+  for (i = 0; i < s->n_bounds; ++i) k->slack[i] = s->signs[i] * (k->rows->limits[i] - k->point.x[s->entries[i]]);
+  for (i = 0; i < n_path; ++i) k->slack[s->n_bounds + i] = -from->path[i];
+  for (i = s->n_bounds + n_path; i < m; ++i) k->slack[i] = -from->equality[i - s->n_bounds - n_path];
+}
+
+void kpirl_mpc_kkt_take(kpirl_mpc_kkt *k, const kpirl_mpc_view *derivatives) {
+  take_values(k, derivatives);
+  k->system.F = derivatives->F;
+  k->system.G = derivatives->G;
+  k->system.E = derivatives->E;
+  k->system.H = derivatives->H;
+  k->factored = k->stepped = 0;
+}
+
+/* `count` numbers to `place`, which moves on; NaN where the functions failed. */
+static const real *keep(const real *from, size_t count, int failed, real **place) {
+  real *kept = *place;
+  size_t i;
+  for (i = 0; i < count; ++i) kept[i] = failed ? (real)NAN : from[i];
+  *place += count;
+  return kept;
+}
+
+void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
+  kpirl_mpc_system *s = &k->system;
+  const size_t T = (size_t)s->horizon, n_s = (size_t)s->n_states, n_x = n_s + (size_t)s->n_actions;
+  const size_t n_h = (size_t)s->n_path, n_e = (size_t)s->n_equality;
+  const int n_path = s->horizon * s->n_path + s->n_terminal;
+  kpirl_mpc_start at = {0};
+  kpirl_mpc_view view;
+  real *place = k->matrices;
+  int failed;
+  at.x = k->point.x;
+  at.costates = k->point.costates;
+  at.path = k->point.forces + s->n_bounds;
+  at.equality = at.path + n_path;
+  failed = kpirl_mpc_core_evaluate_at(core, &k->numbers, &at, KPIRL_MPC_SECOND);
+  kpirl_mpc_core_view(core, &view);
+  take_values(k, &view);
+  s->F = keep(view.F, T * n_s * n_x, failed, &place);
+  s->G = keep(view.G, T * n_x * n_h + n_s * (size_t)s->n_terminal, failed, &place);
+  s->E = keep(view.E, T * n_x * n_e + n_s * (size_t)s->n_terminal_equality, failed, &place);
+  s->H = keep(view.H, T * n_x * n_x + n_s * n_s, failed, &place);
+  k->factored = k->stepped = 0;
+}
+
+/* ---- what rows are measured by --------------------------------------------------------------------------------- */
+
+/* Every entry of values (n_w) becomes the largest of its kind over the horizon. */
+static void largest_of_kind(int T, int n_s, int n_u, real *values) {
+  const int n_x = n_s + n_u;
+  int t, i;
+  for (i = 0; i < n_x; ++i) {
+    const int count = i < n_s ? T + 1 : T;
+    real most = 0;
+    for (t = 0; t < count; ++t) most = kpirl_mpc_larger(values[t * n_x + i], most);
+    for (t = 0; t < count; ++t) values[t * n_x + i] = most;
+  }
+}
+
+void kpirl_mpc_point_sizes(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows *rows, const real *x, real *sizes) {
+  const int n_w = of->horizon * (of->n_states + of->n_actions) + of->n_states;
+  int i;
+  for (i = 0; i < n_w; ++i) sizes[i] = kpirl_mpc_larger(kpirl_mpc_abs(x[i]), rows->largest_bound[i]);
+  largest_of_kind(of->horizon, of->n_states, of->n_actions, sizes);
+  for (i = 0; i < n_w; ++i)
+    if (!(sizes[i] > NOTHING)) sizes[i] = 1;
+}
+
+/* Of the curvature of each decision by itself, the largest over the horizon. */
+static void find_roots(kpirl_mpc_kkt *k) {
+  kpirl_mpc_system *s = &k->system;
+  const int n_w = kpirl_mpc_system_n_point(s);
+  real *energy = s->scratch, most = 0; /* in the unit of the cost */
+  int i;
+  for (i = 0; i < n_w; ++i) energy[i] = k->curvature[i] * s->sizes[i] * s->sizes[i];
+  for (i = 0; i < n_w; ++i) most = kpirl_mpc_larger(energy[i], most);
+  largest_of_kind(s->horizon, s->n_states, s->n_actions, energy);
+  for (i = 0; i < s->n_decisions; ++i) {
+    const real own = energy[s->decisions[i]], used = own > LEAST * most ? own : most > 0 ? most : 1;
+    s->roots[i] = kpirl_mpc_root(used) / s->sizes[s->decisions[i]];
+  }
+}
+
+real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *k, const real *slack, int i) {
+  const real size = k->row_sizes[i];
+  return size > 0 ? slack[i] / size : slack[i] > 0 ? (real)INFINITY : slack[i];
+}
+
+void kpirl_mpc_relative_forces(const kpirl_mpc_kkt *k, const real *forces, real *relative) {
+  int i;
+  kpirl_mpc_force_shares(&k->system, k->point.costates, k->curvature, relative);
+  for (i = 0; i < kpirl_mpc_system_n_rows(&k->system); ++i) relative[i] = forces[i] == 0 ? 0 : forces[i] * relative[i];
+}
+
+/* ---- active rows ------------------------------------------------------------------------------------------------ */
+
+/* Equalities, and inequalities whose multiplier is above their slack, both relative. Comparing the two, rather than either with a
+ * threshold, follows mu slack -> 0: an inactive row with a tiny multiplier stays inactive, an active row with a tiny slack
+ * stays active. Near a change of the active set the guess may be wrong; the margin after a Newton step finds out. */
+static void guess_active(kpirl_mpc_kkt *k) {
+  const int m = kpirl_mpc_system_n_rows(&k->system);
+  real *pushing = k->work;
+  int i;
+  kpirl_mpc_relative_forces(k, k->point.forces, pushing);
+  for (i = 0; i < m; ++i) {
+    const int pushes = pushing[i] > 0 && pushing[i] > kpirl_mpc_relative_slack(k, k->slack, i);
+    k->system.active[i] = k->rows->inequality[i] ? pushes && !(k->barrier > 0) : k->rows->equality[i];
+  }
+}
+
+static int all_finite(const kpirl_mpc_kkt *k) {
+  const kpirl_mpc_system *s = &k->system;
+  const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions, n_w = kpirl_mpc_system_n_point(s);
+  return kpirl_mpc_all_finite(s->F, T * n_s * n_x) && kpirl_mpc_all_finite(s->H, T * n_x * n_x + n_s * n_s) &&
+         kpirl_mpc_all_finite(s->G, T * n_x * s->n_path + n_s * s->n_terminal) &&
+         kpirl_mpc_all_finite(s->E, T * n_x * s->n_equality + n_s * s->n_terminal_equality) &&
+         kpirl_mpc_all_finite(k->gradient, n_w) && kpirl_mpc_all_finite(k->point.x, n_w) &&
+         kpirl_mpc_all_finite(s->sigma, kpirl_mpc_system_n_rows(s));
+}
+
+int kpirl_mpc_kkt_select(kpirl_mpc_kkt *k, const real *active) {
+  kpirl_mpc_system *s = &k->system;
+  const int m = kpirl_mpc_system_n_rows(s);
+  int i;
+  kpirl_mpc_point_sizes(&k->dimensions, k->rows, k->point.x, s->sizes);
+  kpirl_mpc_system_curvature(s, k->curvature);
+  kpirl_mpc_row_sizes(s, k->row_sizes);
+  if (active)
+    memcpy(s->active, active, (size_t)m * sizeof(real));
+  else
+    guess_active(k);
+  for (i = 0; i < m; ++i) {
+    const int smoothed = k->barrier > 0 && k->rows->inequality[i];
+    s->sigma[i] = smoothed ? k->barrier / (k->slack[i] * k->slack[i]) : 0;
+    k->pushing[i] = smoothed ? k->barrier / k->slack[i] : s->active[i] != 0 ? k->point.forces[i] : 0;
+  }
+  find_roots(k);
+  return all_finite(k);
+}

@@ -1,0 +1,156 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * The KKT conditions linearised at a solution, the gradients that follow from them, and the evidence for these gradients.
+ */
+#ifndef KPIRL_MPC_KKT_H
+#define KPIRL_MPC_KKT_H
+
+#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_system.h"
+
+/* The m constraints of a problem but its dynamics: finite lower bounds, finite upper bounds, h and h_T, e and e_T. */
+typedef struct kpirl_mpc_rows {
+  int n_free, n_bounds, n_decisions;
+  const int *free, *entries, *decisions; /* as in kpirl_mpc_system */
+  const int *inequality, *equality;      /* (m) 1 for rows that may be active or not, and for those that always are */
+  const real *signs, *limits;            /* (n_bounds) slack = sign (limit - x) */
+  const real *largest_bound;             /* (n_w) of each entry of x, zero where there is none */
+  const real *normal, *uniform, *spread; /* random numbers, always the same: (n_w or m) normal; (the longest array) in [1/2, 1),
+                                            and (n_w) of either sign */
+} kpirl_mpc_rows;
+
+/* Functions of the parameters. phi is the sum of weights dx, dcostates, dz, dnu times the gradient of the Lagrangian, the
+ * defects, path constraints and equalities. */
+typedef struct kpirl_mpc_weighted_arguments {
+  const real *x, *psi, *context, *costates, *z, *nu, *dx, *dcostates, *dz, *dnu;
+} kpirl_mpc_weighted_arguments;
+
+typedef struct kpirl_mpc_weighted_results {
+  real *by_psi, *by_context; /* of phi */
+} kpirl_mpc_weighted_results;
+
+typedef struct kpirl_mpc_weighted {
+  int (*evaluate)(void *self, const kpirl_mpc_weighted_arguments *arguments, const kpirl_mpc_weighted_results *results);
+  void *self;
+} kpirl_mpc_weighted;
+
+/* A loss of the trajectory: S (T+1, n_s) and U (T, n_u) -> value and slopes. */
+typedef struct kpirl_mpc_loss_arguments {
+  const real *states, *actions, *data;
+} kpirl_mpc_loss_arguments;
+
+typedef struct kpirl_mpc_loss_results {
+  real *value, *by_states, *by_actions;
+} kpirl_mpc_loss_results;
+
+typedef struct kpirl_mpc_loss {
+  int (*evaluate)(void *self, const kpirl_mpc_loss_arguments *arguments, const kpirl_mpc_loss_results *results);
+  void *self;
+} kpirl_mpc_loss;
+
+/* A point of the program and the conditions there. The matrices of the system may be of other memory than this structure's. */
+typedef struct kpirl_mpc_kkt {
+  kpirl_mpc_system system;
+  const kpirl_mpc_rows *rows;
+  kpirl_mpc_dimensions dimensions;
+  kpirl_mpc_numbers numbers;
+  kpirl_mpc_triple point;   /* x, costates and multipliers of the rows; start is not used */
+  kpirl_mpc_triple adjoint; /* of a function */
+  real barrier;
+  real *gradient, *defects; /* of the Lagrangian without bounds (n_w); f - s_next */
+  real *slack;              /* (m) of inequalities; of equalities minus their value */
+  real *pushing;            /* (m) multipliers of active rows; tau / slack of smoothed ones; zero */
+  real *curvature;          /* (n_w) kpirl_mpc_system_curvature */
+  real *row_sizes;          /* (m) */
+  real *softest;            /* (n_w) direction of the smallest eigenvalue of the reduced Hessian */
+  kpirl_mpc_factors spare;    /* of another matrix */
+  real *matrices, *work;
+  real lowest, qualification; /* that eigenvalue; the smallest singular value of the active rows */
+  real step, margin;          /* kpirl_mpc_kkt_step */
+  int factored, stepped;
+} kpirl_mpc_kkt;
+
+/* Measurements, as in Python's SensitivityCertificate. */
+typedef struct kpirl_mpc_evidence {
+  real curvature, qualification, step, margin, change, kink, linear_residual;
+} kpirl_mpc_evidence;
+
+/* Gradients by psi, s_0 and the context. */
+typedef struct kpirl_mpc_by_parameters {
+  real *psi, *s0, *context;
+} kpirl_mpc_by_parameters;
+
+/* Forces (m) over the others on one of the entries of x that they act on, into `relative`; and one slack over the sizes of what it is
+ * made of. */
+void kpirl_mpc_relative_forces(const kpirl_mpc_kkt *kkt, const real *forces, real *relative);
+real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *kkt, const real *slack, int row);
+
+/* Lay out memory for a problem; returns how many numbers it takes. memory NULL: count only. */
+size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *kkt, const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, real *memory);
+
+/* Derivatives at kkt->point: from a core; or take over those that are known, whose matrices must stay. path: h and h_T; equality:
+ * e and e_T. */
+void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core);
+void kpirl_mpc_kkt_take(kpirl_mpc_kkt *kkt, const kpirl_mpc_view *derivatives);
+
+/* Sizes, stiffness of smoothed rows, active rows (where `active` is NULL those that the point suggests), forces and roots. Returns
+ * whether all is finite. */
+int kpirl_mpc_kkt_select(kpirl_mpc_kkt *kkt, const real *active);
+
+/* Factors, lowest, softest and qualification, unless they are known. */
+void kpirl_mpc_kkt_factor(kpirl_mpc_kkt *kkt);
+
+/* The Newton step on the conditions with this active set, into `move`. */
+void kpirl_mpc_kkt_newton(const kpirl_mpc_kkt *kkt, kpirl_mpc_triple *move);
+
+/* Where that step leads, and a little further along the softest direction, into nearby->point; its length in the decisions,
+ * relative to their sizes, into kkt->step; and the smallest multiplier of an active and slack of an inactive inequality after it,
+ * relative, into kkt->margin. */
+void kpirl_mpc_kkt_step(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby);
+
+/* Relative change of the adjoint (r, 0, 0) -> point when the system becomes one nearby; point becomes the adjoint there. */
+real kpirl_mpc_kkt_change(const kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, const real *r, kpirl_mpc_triple *point);
+
+/* Relative disagreement of the conditions, differenced to either side along x (n_w), with their derivatives. */
+real kpirl_mpc_kink_along(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const real *direction);
+
+/* The same along psi, s_0 (where `by_start` is given) and the context, and the relative jump of derivatives by them, for
+ * conditions that are weighted. by: the derivatives of the weighted conditions. */
+real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
+                                  const kpirl_mpc_triple *weights, const kpirl_mpc_by_parameters *by);
+
+/* Derivatives of the weighted conditions by psi and the context at others than those of the point. Returns 0 when all went well. */
+int kpirl_mpc_weigh(const kpirl_mpc_kkt *kkt, const kpirl_mpc_weighted *function, const kpirl_mpc_triple *weights,
+                    const real *psi, const real *context, real *by_psi, real *by_context);
+
+/* x, lambda and mu for a right-hand side; returns the relative residual. A singular reduced Hessian divides by zero: infinities
+ * and NaN come out, and kkt->lowest says why. */
+real kpirl_mpc_kkt_solve(const kpirl_mpc_kkt *kkt, const kpirl_mpc_triple *right, kpirl_mpc_triple *point);
+
+/* The solution for (slope, 0, 0), kkt->adjoint; returns its relative residual. */
+real kpirl_mpc_kkt_adjoint(kpirl_mpc_kkt *kkt, const real *slope);
+
+/* Derivatives by the parameters of the conditions weighted by an adjoint, and these weights: of smoothed rows the change of their
+ * forces is added. The gradients of the function that kkt->adjoint belongs to are minus these. */
+void kpirl_mpc_kkt_pull(const kpirl_mpc_kkt *kkt, const kpirl_mpc_weighted *function, kpirl_mpc_triple *adjoint,
+                        const kpirl_mpc_by_parameters *by);
+
+/* Gradients of a function with a slope (n_w), and evidence for them: the adjoint has to be stable, and the problem smooth along the
+ * adjoint, or along `direction` where that is given. */
+void kpirl_mpc_certify(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
+                       const real *slope, const real *direction, const kpirl_mpc_by_parameters *by,
+                       kpirl_mpc_evidence *evidence);
+
+/* Sizes (n_w) of the entries of x: the largest absolute value over the horizon, finite bounds included. */
+void kpirl_mpc_point_sizes(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, const real *x, real *sizes);
+
+/* Value and slopes (n_w) of a loss at x; and the relative jump of the slopes, or disagreement of differences with them, along a
+ * direction in which given entries of s_0 stay. work: 8 n_w numbers. */
+real kpirl_mpc_kink_of_loss(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, const kpirl_mpc_loss *loss,
+                            const real *data, const real *x, real *value, real *slopes, real *work);
+
+/* The largest relative jump at 0 of `count` functions of a step, from their values at steps 0, +h, -h, +h/10 and -h/10, one after
+ * the other; those much smaller than `whole` may be rounding. */
+real kpirl_mpc_jump(const real *values, int count, real whole);
+
+#endif

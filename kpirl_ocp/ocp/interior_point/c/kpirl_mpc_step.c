@@ -1,0 +1,146 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * Factors of the linearised KKT conditions, what they are conditioned by, and the Newton step.
+ */
+#include "kpirl_mpc_kkt.h"
+
+#include <string.h>
+
+static const real KNOWN = (real)1e-9;   /* relative accuracy to which no solution is known better */
+static const real ROUGHLY = (real)1e-6; /* relative residual of a Newton step, enough to tell how far the solution is */
+enum { REFINEMENTS = 12 };
+
+/* ---- factors ---------------------------------------------------------------------------------------------------- */
+
+static int any_negative(const real *values, int count) {
+  int i;
+  for (i = 0; i < count; ++i)
+    if (values[i] < 0) return 1;
+  return 0;
+}
+
+static int count_active(const kpirl_mpc_system *s) {
+  int i, count = 0;
+  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) count += s->active[i] != 0;
+  return count;
+}
+
+/* Pivots know the signs of the eigenvalues, the Lanczos method the size of the lowest. Infinite when the active rows leave no
+ * freedom; NaN if the Lanczos method did not find what the pivots know. */
+static void find_lowest(kpirl_mpc_kkt *k, int n_active) {
+  const kpirl_mpc_system *s = &k->system;
+  int negative;
+  real value;
+  k->lowest = (real)INFINITY;
+  memset(k->softest, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  if (n_active >= s->n_decisions) return;
+  negative = any_negative(s->factors.pivots, s->horizon * s->n_actions) || any_negative(s->factors.free_pivots, s->n_free);
+  value = kpirl_mpc_system_softest(s, negative, k->rows->normal, k->softest);
+  k->lowest = !isfinite(value) ? 0 : negative != (value < 0) ? (real)NAN : 1 / value;
+  if (!isfinite(value) || negative != (value < 0))
+    memset(k->softest, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+}
+
+/* Is every active row a bound of a decision, so that no two are alike? */
+static int only_bounds_of_decisions(const kpirl_mpc_system *s) {
+  const int n_s = s->n_states, n_x = n_s + s->n_actions, m = kpirl_mpc_system_n_rows(s);
+  int i, j;
+  for (i = 0; i < m; ++i) {
+    int found = s->active[i] == 0 || (i < s->n_bounds && s->entries[i] < s->horizon * n_x && s->entries[i] % n_x >= n_s);
+    for (j = 0; !found && i < s->n_bounds && j < s->n_free; ++j) found = s->entries[i] == s->free[j];
+    if (!found) return 0;
+  }
+  return 1;
+}
+
+static real find_qualification(kpirl_mpc_kkt *k, int n_active, int immovable) {
+  kpirl_mpc_system other = k->system;
+  if (!n_active) return (real)INFINITY;
+  if (immovable || n_active > k->system.n_decisions) return 0;
+  if (only_bounds_of_decisions(&k->system)) return 1;
+  other.factors = k->spare;
+  return kpirl_mpc_system_qualification(&other, k->rows->normal);
+}
+
+void kpirl_mpc_kkt_factor(kpirl_mpc_kkt *k) {
+  const int n_active = count_active(&k->system);
+  int immovable;
+  if (k->factored) return;
+  immovable = kpirl_mpc_system_factor(&k->system, k->rows->normal);
+  find_lowest(k, n_active);
+  k->qualification = find_qualification(k, n_active, immovable);
+  k->factored = 1;
+}
+
+/* ---- the Newton step ---------------------------------------------------------------------------------------------- */
+
+/* From x, the costates and the forces that push. */
+static void newton_right(const kpirl_mpc_kkt *k, kpirl_mpc_triple *right) {
+  const kpirl_mpc_system *s = &k->system;
+  const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s);
+  real *missing = right->forces; /* the gradient holds the forces of path constraints and equalities */
+  int i;
+  for (i = 0; i < m; ++i) missing[i] = k->pushing[i] - (i < s->n_bounds ? 0 : k->point.forces[i]);
+  memcpy(right->x, k->gradient, (size_t)n_w * sizeof(real));
+  kpirl_mpc_rows_push(s, missing, right->x);
+  for (i = 0; i < n_w; ++i) right->x[i] = -right->x[i];
+  for (i = 0; i < s->horizon * s->n_states; ++i) right->costates[i] = -k->defects[i];
+  for (i = 0; i < m; ++i) right->forces[i] = s->active[i] != 0 ? k->slack[i] : 0;
+  memset(right->start, 0, (size_t)s->n_states * sizeof(real));
+}
+
+void kpirl_mpc_kkt_newton(const kpirl_mpc_kkt *k, kpirl_mpc_triple *move) {
+  kpirl_mpc_triple right;
+  kpirl_mpc_place_triple(&k->system, k->work, &right);
+  newton_right(k, &right);
+  kpirl_mpc_system_solve(&k->system, &right, ROUGHLY, REFINEMENTS, move);
+}
+
+/* The smallest of the relative forces of active and relative slacks of inactive inequalities; NaN if one is. */
+static real smallest_margin(const kpirl_mpc_kkt *k, const real *forces, const real *slack, real *relative) {
+  real least = (real)INFINITY;
+  int i;
+  if (k->barrier > 0) return least;
+  kpirl_mpc_relative_forces(k, forces, relative);
+  for (i = 0; i < kpirl_mpc_system_n_rows(&k->system); ++i) {
+    const real own = k->system.active[i] != 0 ? relative[i] : kpirl_mpc_relative_slack(k, slack, i);
+    if (k->rows->inequality[i] && !(own >= least)) least = own;
+    if (isnan(least)) return least;
+  }
+  return least;
+}
+
+void kpirl_mpc_kkt_step(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby) {
+  const kpirl_mpc_system *s = &k->system;
+  const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s);
+  const real whole = kpirl_mpc_decision_norm(s, s->sizes), size = whole > 0 ? whole : 1;
+  kpirl_mpc_triple move;
+  real *slack = kpirl_mpc_place_triple(s, nearby->work, &move), *relative = slack + m, *forces = nearby->point.forces;
+  int i;
+  kpirl_mpc_kkt_newton(k, &move);
+  kpirl_mpc_rows_times(s, move.x, slack);
+  for (i = 0; i < m; ++i) slack[i] = k->slack[i] - slack[i];
+  for (i = 0; i < m; ++i) forces[i] = k->pushing[i] + move.forces[i];
+  k->step = kpirl_mpc_decision_norm(s, move.x) / size;
+  k->margin = smallest_margin(k, forces, slack, relative);
+  for (i = 0; i < n_w; ++i) nearby->point.x[i] = k->point.x[i] + move.x[i] + KNOWN * size * k->softest[i];
+  for (i = 0; i < s->horizon * s->n_states; ++i) nearby->point.costates[i] = k->point.costates[i] + move.costates[i];
+  for (i = 0; i < m; ++i)
+    if (s->active[i] == 0 && !k->rows->inequality[i]) forces[i] = k->point.forces[i];
+  nearby->numbers = k->numbers;
+  nearby->barrier = k->barrier;
+  k->stepped = 1;
+}
+
+real kpirl_mpc_kkt_change(const kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, const real *r, kpirl_mpc_triple *point) {
+  const kpirl_mpc_system *s = &k->system;
+  kpirl_mpc_system there = nearby->system;
+  kpirl_mpc_triple right;
+  kpirl_mpc_place_triple(s, nearby->work, &right);
+  memset(right.x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
+  memcpy(right.x, r, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  there.lengths = s->lengths;
+  there.stiffness = s->stiffness;
+  there.roots = s->roots;
+  return kpirl_mpc_system_change(s, &there, &right, point);
+}

@@ -1,0 +1,89 @@
+"""Measurements for certificates, by evaluations nearby; the arithmetic is in C: `kpirl_mpc_certify.c`, `.._kinks.c`."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import NamedTuple
+
+import numpy as np
+
+from kpirl_ocp.ocp.codegen.numpy_calls import Build
+from kpirl_ocp.ocp.conditions import parameter_derivatives
+from kpirl_ocp.ocp.interior_point import library as c
+from kpirl_ocp.ocp.interior_point.cores import borrow_core
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, PrimalDual, Triple
+from kpirl_ocp.ocp.sensitivity.rows import rows_of
+from kpirl_ocp.types import Array
+
+
+class Evidence(NamedTuple):
+    """Fields of a `SensitivityCertificate` that are measured."""
+
+    curvature: float
+    qualification: float
+    step: float
+    margin: float
+    change: float
+    kink: float
+    linear_residual: float
+
+
+def measure(
+    system: KKTSystem, nearby: KKTSystem, slope: Array, direction: Array | None = None
+) -> tuple[ByParameters, Evidence]:
+    """Gradients of a function with a slope (n_w,), and evidence for them.
+
+    Args:
+        system: at the solution.
+        nearby: memory for another; once measured, the one that a Newton step leads to.
+        slope: (n_w,) by x.
+        direction: (n_w,) along which the problem has to be smooth; by default the adjoint.
+    """
+    problem = system.instance.problem
+    found, evidence = ByParameters.empty(problem), c.Evidence()
+    structure, along = found.structure, None if direction is None else direction.ctypes.data
+    with borrow_core(problem) as core:
+        function = core.function(parameter_derivatives.pull)
+        systems, ends = (system.address, nearby.address), (ctypes.addressof(structure), ctypes.addressof(evidence))
+        core.library.kpirl_mpc_certify(*systems, core.address, function, slope.ctypes.data, along, *ends)
+    return found, Evidence(*(getattr(evidence, name) for name in Evidence._fields))
+
+
+def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:
+    """Relative disagreement with differences along psi, and jump of derivatives, of the conditions at a plan x (n_w,).
+
+    They are weighted by random numbers; the plan need not be a solution.
+    """
+    rows, n_s = rows_of(problem), problem.n_states
+    numbers = len(x), problem.horizon * n_s, len(rows.equality)
+    one, costates, forces = (rows.uniform[:n] for n in numbers)
+    system = KKTSystem(Instance(problem, x[:n_s], psi, context), PrimalDual(x, costates, forces))
+    weights, by = Triple(PrimalDual(one * rows.sizes_of(x), costates, forces)), ByParameters.empty(problem)
+    structure = by.structure
+    with borrow_core(problem) as core:
+        function = core.function(parameter_derivatives.pull)
+        at = system.structure.numbers.psi, system.structure.numbers.context
+        to = structure.psi, structure.context
+        if core.library.kpirl_mpc_weigh(system.address, function, weights.address, *at, *to):
+            return float(np.inf)
+        structure.s0 = None
+        given = system.address, core.address, function, weights.address, ctypes.addressof(structure)
+        return float(core.library.kpirl_mpc_kink_in_parameters(*given))
+
+
+def loss_at(problem: OCP, build: Build, data: Array, x: Array) -> tuple[float, Array, float]:
+    """A loss at x (n_w,), its slopes (n_w,), and their relative jump or disagreement with differences there.
+
+    Args:
+        build: problem -> function (S, U, data) -> L, dL/dS, dL/dU, of dense matrices.
+        data: in the function's order, by columns.
+    """
+    rows, n_w = rows_of(problem), len(x)
+    value, slopes, work, given = np.empty(1), np.empty(n_w), np.empty(8 * n_w), np.ascontiguousarray(data, float)
+    sizes = ctypes.addressof(rows.dimensions), ctypes.addressof(rows.structure)
+    with borrow_core(problem) as core:
+        arrays = (array.ctypes.data for array in (given, x, value, slopes, work))
+        kink = core.library.kpirl_mpc_kink_of_loss(*sizes, core.function(build), *arrays)
+    return float(value[0]), slopes, float(kink)
