@@ -263,8 +263,11 @@ def test_arguments_of_another_shape_are_refused():
         at.push(psi=np.ones(99))
     with pytest.raises(ProblemError, match="policy must be one of raise, flag"):
         sensitivity(case.problem, solution, policy="smooth")
-    with pytest.raises(ProblemError, match="must have length"):
+    with pytest.raises(ProblemError, match=r"states must be .* of another problem"):
         sensitivity(TABLE["pendulum"]().problem, solution)
+    short = replace(solution.multipliers, action=solution.multipliers.action[1:])
+    with pytest.raises(ProblemError, match=r"solution's multipliers\.action must be"):
+        sensitivity(case.problem, replace(solution, multipliers=short))
 
 
 def test_solutions_know_what_they_were_solved_for_even_if_the_caller_changes_its_arrays():

@@ -24,7 +24,6 @@ from kpirl_ocp.irl.hypergradients.certificate import (
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
 from kpirl_ocp.irl.hypergradients.smoothness import LossAt
-from kpirl_ocp.ocp.problem.layout import split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
 from kpirl_ocp.ocp.sensitivity.certificate import check_policy
@@ -80,7 +79,8 @@ def differentiate(
     derivatives: at the solution, where the solver ended with them.
     """
     at = LossAt(problem, loss, data_of(loss, problem, demonstration), solution.trajectory)
-    slopes = split(at.slopes, problem.horizon, problem.n_states, problem.n_actions)
-    found = sensitivity(problem, solution, "flag", derivatives).pull(*slopes)
-    failures = (*nonfinite_failures(at.value, found.psi), *found.certificate.failures, *at.kinks)
-    return HypergradientResult(at.value, found.psi, replace(found.certificate, failures=failures))
+    found = sensitivity(problem, solution, "flag", derivatives).pull_by_stage(at.slopes)
+    certificate, more = found.certificate, (nonfinite_failures(at.value, found.psi), at.kinks)
+    if any(more):
+        certificate = replace(certificate, failures=(*more[0], *certificate.failures, *more[1]))
+    return HypergradientResult(at.value, found.psi, certificate)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ctypes
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar, cast
 
 import casadi as ca
 import numpy as np
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 import kpirl_ocp.ocp.interior_point.library as c
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.codegen.numpy_calls import Build, native
-from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachine
+from kpirl_ocp.ocp.codegen.numpy_calls import Build
+from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachine, pointer_to
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
@@ -23,7 +23,9 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, StageValues, check_guess
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
-_FUNCTIONS = 16  # that a core keeps besides those that it solves with
+_OTHERS = 32  # things that a core keeps besides its functions
+
+T = TypeVar("T")
 STATUS = {
     0: Status.CONVERGED,
     1: Status.STEPS_TAKEN,
@@ -56,7 +58,7 @@ class Core:
         self._schedule = np.ascontiguousarray(problem.schedule, float)
         self._residuals, self._view = c.Residuals(), c.View()
         self._evaluations = 0
-        self._functions: OrderedDict[Build, tuple[VirtualMachine, Any]] = OrderedDict()
+        self._others: OrderedDict[Any, Any] = OrderedDict()
 
     @property
     def library(self) -> Any:
@@ -68,19 +70,21 @@ class Core:
         """Of the structure `kpirl_mpc_core`."""
         return int(self._core)
 
+    def kept(self, make: Callable[[OCP], T]) -> T:
+        """`make(problem)`, made once for this core, of which nobody else makes use at the same time."""
+        if make not in self._others:
+            while len(self._others) >= _OTHERS:
+                self._others.popitem(last=False)
+            self._others[make] = make(self.problem)
+        self._others.move_to_end(make)
+        return cast("T", self._others[make])
+
     def function(self, build: Build) -> int:
         """The address of a C function pointer to `build(problem)`, which works in memory of this core.
 
         It is called with structures of pointers to its arguments and to its results, in their order.
         """
-        if build not in self._functions:
-            while len(self._functions) >= _FUNCTIONS:
-                self._functions.popitem(last=False)
-            function = native(self.problem, build)
-            evaluator = VirtualMachine(function, (tuple(function.name_in()), tuple(function.name_out())))
-            self._functions[build] = evaluator, evaluator.pointer
-        self._functions.move_to_end(build)
-        return ctypes.addressof(self._functions[build][1])
+        return self.kept(pointer_to(build)).address
 
     def solve(self, options: Any, wish: Compile, s0: Array, psi: Array, context: Array, guess: Guess) -> Solution:
         """Solve with settings `library.Options`; the GIL is released meanwhile."""
@@ -266,8 +270,8 @@ def point_bounds(problem: OCP) -> tuple[Array, Array, NDArray[np.intc]]:
     return lower, upper, np.flatnonzero(problem.free_start).astype(np.intc)
 
 
-def check_multipliers(problem: OCP, multipliers: Multipliers) -> None:
-    """Raise ProblemError when the multipliers of a guess do not fit the problem."""
+def check_multipliers(problem: OCP, multipliers: Multipliers, of: str = "guess") -> None:
+    """Raise ProblemError when the multipliers of a guess, or of something else, do not fit the problem."""
     steps = problem.horizon
     shapes = {
         "dynamics": (steps, problem.n_states),
@@ -281,6 +285,4 @@ def check_multipliers(problem: OCP, multipliers: Multipliers) -> None:
     for name, shape in shapes.items():
         given = np.shape(getattr(multipliers, name))
         if given != shape:
-            raise ProblemError(
-                f"the guess's multipliers.{name} must be {shape}, got {given}: it is of another problem."
-            )
+            raise ProblemError(f"the {of}'s multipliers.{name} must be {shape}, got {given}: it is of another problem.")

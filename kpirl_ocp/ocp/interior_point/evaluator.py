@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from kpirl_ocp.ocp.codegen.numpy_calls import Build, native
 from kpirl_ocp.ocp.interior_point.library import Buffered, CompiledFunction, Function, library
+from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
 
 # Members of casadi::FunctionBuffer, as compilers for Linux and macOS spell them.
@@ -67,6 +70,21 @@ class Compiled:
     def pointer(self) -> Any:
         """The function for the core."""
         return Function(_symbol("kpirl_mpc_evaluate_compiled"), ctypes.addressof(self._structure))
+
+
+class Pointer:
+    """A C function pointer to a function of a problem, called with its arguments and results in their order."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._evaluator = VirtualMachine(function, (tuple(function.name_in()), tuple(function.name_out())))
+        self._pointer = self._evaluator.pointer
+        self.address = ctypes.addressof(self._pointer)
+
+
+@lru_cache(maxsize=256)
+def pointer_to(build: Build) -> Callable[[OCP], Pointer]:
+    """problem -> a pointer to `build(problem)`."""
+    return lambda problem: Pointer(native(problem, build))
 
 
 def _places(function: ca.Function, names: Names) -> list[NDArray[np.intc]]:

@@ -139,7 +139,7 @@ Triple = _structure("Triple", x=POINTER, costates=POINTER, forces=POINTER, start
 Rows = _structure(
     "Rows",
     **dict.fromkeys(("n_free", "n_bounds", "n_decisions"), INT),
-    **dict.fromkeys(("free", "entries", "decisions", "inequality", "equality"), POINTER),
+    **dict.fromkeys(("free", "entries", "decisions", "inequality", "equality", "other"), POINTER),
     **dict.fromkeys(("signs", "limits", "largest_bound", "normal", "uniform", "spread"), POINTER),
 )
 KKT = _structure(
@@ -161,6 +161,11 @@ Evidence = _structure(
     "Evidence",
     **dict.fromkeys(("curvature", "qualification", "step", "margin", "change", "kink", "linear_residual"), REAL),
 )
+SolutionArrays = _structure(
+    "SolutionArrays",
+    **dict.fromkeys(("states", "actions", "dynamics", "of_states", "of_actions"), POINTER),
+    **dict.fromkeys(("path", "terminal", "equality", "terminal_equality"), POINTER),
+)
 ByParameters = _structure("ByParameters", psi=POINTER, s0=POINTER, context=POINTER)
 _OF_SYSTEMS = {
     "rows_times": 3,
@@ -168,6 +173,8 @@ _OF_SYSTEMS = {
     "system_balance": 3,
     "defects_times": 3,
     "kkt_init": 4,
+    "kkt_stand": 2,
+    "kkt_linearise": 4,
     "kkt_evaluate": 2,
     "kkt_take": 2,
     "kkt_select": 2,
@@ -216,7 +223,7 @@ def read(address: int, size: int) -> Array:
 def _layout() -> int:
     """The sizes of all structures that cross over."""
     crossing = (Dimensions, Model, Bounds, Numbers, Options, Start, View, Residuals, Iteration)
-    kinds = (*crossing, Buffered, CompiledFunction, System, Triple, Rows, KKT, Evidence, ByParameters)
+    kinds = (*crossing, Buffered, CompiledFunction, System, Triple, Rows, KKT, Evidence, ByParameters, SolutionArrays)
     return sum((i + 1) * ctypes.sizeof(kind) for i, kind in enumerate(kinds))
 
 

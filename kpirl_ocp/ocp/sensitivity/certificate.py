@@ -6,8 +6,9 @@ constraints (LICQ), strict complementarity and a positive reduced Hessian. All o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Literal
 
 import numpy as np
 
@@ -109,55 +110,58 @@ def undefined(solution: Solution, active: Mask) -> SensitivityCertificate:
     )
 
 
-def certified(**evidence: Any) -> SensitivityCertificate:
-    """The certificate of this evidence (the fields but `failures`), with a sentence for every failure."""
-    found = SensitivityCertificate(**evidence, failures=())
-    return replace(found, failures=tuple(_failures(found)))
-
-
-def _failures(found: SensitivityCertificate) -> list[str]:
-    """A sentence for every condition that does not hold; comparisons are written so that NaN fails."""
-    conditions = (
-        (found.solution.status in _SOLVED, _not_converged(found.solution)),
-        (
-            found.kkt_residual <= KKT_RESIDUAL,
-            f"The KKT residual is {found.kkt_residual:.1e}, above {KKT_RESIDUAL:.0e}: solve to a tighter tolerance.",
-        ),
-        (
-            found.curvature >= CURVATURE,
-            f"The reduced Hessian has relative eigenvalue {found.curvature:.1e}, below {CURVATURE:.0e}: this is no "
-            "strict minimum; add effort weight, or start elsewhere.",
-        ),
-        (
-            found.qualification >= QUALIFICATION,
-            f"Active constraints depend on each other (singular value {found.qualification:.1e}): remove one.",
-        ),
-        (
-            found.step <= STEP,
-            f"A Newton step still moves the solution by {found.step:.1e}: solve to a tighter tolerance, or scale the "
-            "cost up.",
-        ),
-        (
-            found.margin >= MARGIN,
-            f"An inequality is weakly active, or its side is unclear (margin {found.margin:.1e}): the gradient may "
-            "differ on either side; use policy='smooth', or a solver with_barrier(tau).",
-        ),
-        (
-            found.change <= CHANGE,
-            f"A Newton step changes the adjoint by {found.change:.1e} of itself: the solution is too far from exact, "
-            "or about to jump; solve to a tighter tolerance, rescale the cost, or add effort weight.",
-        ),
-        (
-            found.kink <= KINK,
-            f"Derivatives disagree with differences by {found.kink:.1e}: the solution sits on a kink; use a "
-            "smooth cost and dynamics (softplus or tanh for ReLU).",
-        ),
-        (
-            found.linear_residual <= LINEAR_RESIDUAL,
-            f"The KKT system was solved to {found.linear_residual:.1e} only: it is close to singular.",
-        ),
+def certified(solution: Solution, active: Mask, evidence: Mapping[str, float]) -> SensitivityCertificate:
+    """The certificate of measurements, with a sentence for every failure."""
+    found = {"kkt_residual": solution.residuals.worst, **evidence}
+    failures = [] if solution.status in _SOLVED else [_not_converged(solution)]
+    failures += [text.format(found[name], bound) for name, bound, text in _AT_MOST if not found[name] <= bound]
+    failures += [text.format(found[name], bound) for name, bound, text in _AT_LEAST if not found[name] >= bound]
+    return SensitivityCertificate(
+        solution=solution, failures=tuple(failures), active=active, barrier=solution.barrier, **found
     )
-    return [text for holds, text in conditions if not holds]
+
+
+# Written so that NaN fails.
+_AT_MOST = (
+    ("kkt_residual", KKT_RESIDUAL, "The KKT residual is {:.1e}, above {:.0e}: solve to a tighter tolerance."),
+    (
+        "step",
+        STEP,
+        "A Newton step still moves the solution by {:.1e}: solve to a tighter tolerance, or scale the cost up.",
+    ),
+    (
+        "change",
+        CHANGE,
+        "A Newton step changes the adjoint by {:.1e} of itself: the solution is too far from exact, or about to jump; "
+        "solve to a tighter tolerance, rescale the cost, or add effort weight.",
+    ),
+    (
+        "kink",
+        KINK,
+        "Derivatives disagree with differences by {:.1e}: the solution sits on a kink; use a smooth cost and dynamics "
+        "(softplus or tanh for ReLU).",
+    ),
+    ("linear_residual", LINEAR_RESIDUAL, "The KKT system was solved to {:.1e} only: it is close to singular."),
+)
+_AT_LEAST = (
+    (
+        "curvature",
+        CURVATURE,
+        "The reduced Hessian has relative eigenvalue {:.1e}, below {:.0e}: this is no strict minimum; add effort "
+        "weight, or start elsewhere.",
+    ),
+    (
+        "qualification",
+        QUALIFICATION,
+        "Active constraints depend on each other (singular value {:.1e}): remove one.",
+    ),
+    (
+        "margin",
+        MARGIN,
+        "An inequality is weakly active, or its side is unclear (margin {:.1e}): the gradient may differ on either "
+        "side; use policy='smooth', or a solver with_barrier(tau).",
+    ),
+)
 
 
 def check_policy(policy: str, allowed: tuple[str, ...]) -> None:

@@ -10,10 +10,11 @@ import numpy as np
 from kpirl_ocp.ocp.codegen.numpy_calls import Build
 from kpirl_ocp.ocp.conditions import parameter_derivatives
 from kpirl_ocp.ocp.interior_point import library as c
+from kpirl_ocp.ocp.interior_point.core import Core
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, PrimalDual, Triple
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, Memory, PrimalDual, Triple
 from kpirl_ocp.ocp.sensitivity.rows import rows_of
 from kpirl_ocp.types import Array
 
@@ -31,23 +32,22 @@ class Evidence(NamedTuple):
 
 
 def measure(
-    system: KKTSystem, nearby: KKTSystem, slope: Array, direction: Array | None = None
+    core: Core, system: KKTSystem, nearby: Memory, slope: Array, direction: Array | None = None
 ) -> tuple[ByParameters, Evidence]:
     """Gradients of a function with a slope (n_w,), and evidence for them.
 
     Args:
+        core: for evaluations.
         system: at the solution.
         nearby: memory for another; once measured, the one that a Newton step leads to.
         slope: (n_w,) by x.
         direction: (n_w,) along which the problem has to be smooth; by default the adjoint.
     """
-    problem = system.instance.problem
-    found, evidence = ByParameters.empty(problem), c.Evidence()
+    found, evidence = ByParameters.empty(system.instance.problem), c.Evidence()
     structure, along = found.structure, None if direction is None else direction.ctypes.data
-    with borrow_core(problem) as core:
-        function = core.function(parameter_derivatives.pull)
-        systems, ends = (system.address, nearby.address), (ctypes.addressof(structure), ctypes.addressof(evidence))
-        core.library.kpirl_mpc_certify(*systems, core.address, function, slope.ctypes.data, along, *ends)
+    systems, ends = (system.address, nearby.address), (ctypes.addressof(structure), ctypes.addressof(evidence))
+    function = core.function(parameter_derivatives.pull)
+    core.library.kpirl_mpc_certify(*systems, core.address, function, slope.ctypes.data, along, *ends)
     return found, Evidence(*(getattr(evidence, name) for name in Evidence._fields))
 
 
@@ -59,7 +59,8 @@ def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:
     rows, n_s = rows_of(problem), problem.n_states
     numbers = len(x), problem.horizon * n_s, len(rows.equality)
     one, costates, forces = (rows.uniform[:n] for n in numbers)
-    system = KKTSystem(Instance(problem, x[:n_s], psi, context), PrimalDual(x, costates, forces))
+    system = KKTSystem(Instance(problem, x[:n_s], psi, context))
+    system.stand(PrimalDual(x, costates, forces))
     weights, by = Triple(PrimalDual(one * rows.sizes_of(x), costates, forces)), ByParameters.empty(problem)
     structure = by.structure
     with borrow_core(problem) as core:

@@ -22,7 +22,7 @@ from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, PrimalDual, Triple, linearise, primal_dual
+from kpirl_ocp.ocp.sensitivity.kkt_system import KKTSystem, PrimalDual, Triple, at_solution
 from kpirl_ocp.types import Array, Solution
 
 
@@ -54,8 +54,7 @@ class ImplicitFunction:
     @classmethod
     def at(cls, problem: OCP, solution: Solution) -> ImplicitFunction:
         """At a solution of a problem, smoothed with the solution's barrier."""
-        instance = Instance.of(problem, solution)
-        system = linearise(instance, primal_dual(instance, solution))
+        system = at_solution(problem, solution)
         return cls(system, Factorisation(system))
 
     def pull(self, adjoint: PrimalDual) -> ByParameters:

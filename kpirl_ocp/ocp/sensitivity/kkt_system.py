@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.interior_point import library as c
+from kpirl_ocp.ocp.interior_point.core import Core, check_multipliers
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
-from kpirl_ocp.ocp.problem.constraints import Inequalities
-from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives, StageValues
 from kpirl_ocp.ocp.sensitivity.rows import Rows, rows_of
@@ -76,40 +76,57 @@ class PrimalDual:
     forces: Array
 
 
+class Memory:
+    """The structure `kpirl_mpc_kkt` for a problem, with its arrays; for one thread at a time."""
+
+    def __init__(self, problem: OCP) -> None:
+        rows = rows_of(problem)
+        self._arrays, self.structure = np.empty(rows.n_memory), c.KKT()
+        self.address = ctypes.addressof(self.structure)
+        given = ctypes.addressof(rows.dimensions), ctypes.addressof(rows.structure)
+        c.library().kpirl_mpc_kkt_init(self.address, *given, self._arrays.ctypes.data)
+
+
 class KKTSystem:
     """First and second derivatives at a point, and the active rows; rows are listed as in `Rows`.
 
-    `linearise` makes one. Arrays that it shows are copies.
+    `linearise` and `at_solution` make one. Arrays that it shows are copies.
+
+    finite: True if no derivative holds NaN or infinity.
     """
 
-    def __init__(self, instance: Instance, point: PrimalDual) -> None:
-        """Memory for the C code, with a point in it; without derivatives."""
-        rows = instance.rows
-        self.instance, self.point, self._library = instance, point, c.library()
-        self.sizes_of_parts = len(point.x), len(point.costates), len(point.forces)
-        self._memory, self.structure = np.empty(rows.n_memory), c.KKT()
-        given = ctypes.addressof(rows.dimensions), ctypes.addressof(rows.structure)
-        self._library.kpirl_mpc_kkt_init(self.address, *given, self._memory.ctypes.data)
-        given_numbers = instance.s0, instance.psi, instance.context, instance.problem.schedule
-        numbers = [np.ascontiguousarray(array, float) for array in given_numbers]
-        self._kept: list[Any] = numbers
-        self.structure.numbers = c.Numbers(*(array.ctypes.data for array in numbers))
+    def __init__(self, instance: Instance, memory: Memory | None = None) -> None:
+        """A system without a point, in memory of its own or in given memory."""
+        self.instance, self._memory, self._library = instance, memory or Memory(instance.problem), c.library()
+        self.structure, self.address, self.finite = self._memory.structure, self._memory.address, False
+        numbers = instance.s0, instance.psi, instance.context, instance.problem.schedule
+        self._numbers = [np.ascontiguousarray(array, float) for array in numbers]
+        self.structure.numbers = c.Numbers(*(array.ctypes.data for array in self._numbers))
         self.structure.barrier = instance.barrier
-        parts = (point.x, point.costates, point.forces)
-        for name, part in zip(("x", "costates", "forces"), parts, strict=True):
-            self._view(getattr(self.structure.point, name), len(part))[:] = part
+        self._kept: Any = None
 
     @property
-    def address(self) -> int:
-        """Of the structure `kpirl_mpc_kkt`."""
-        return ctypes.addressof(self.structure)
+    def sizes_of_parts(self) -> tuple[int, int, int]:
+        """Lengths n_w, T n_s and n_rows of the parts of a point."""
+        rows = self.instance.rows
+        return len(rows.largest_bound), rows.problem.horizon * rows.problem.n_states, len(rows.inequality)
+
+    @property
+    def point(self) -> PrimalDual:
+        """Where it is taken."""
+        names = ("x", "costates", "forces")
+        sizes = zip(names, self.sizes_of_parts, strict=True)
+        return PrimalDual(*(c.read(getattr(self.structure.point, name), size) for name, size in sizes))
+
+    def stand(self, point: PrimalDual) -> None:
+        """Set the point; derivatives are still those of another."""
+        for name, part in (("x", point.x), ("costates", point.costates), ("forces", point.forces)):
+            array = np.ascontiguousarray(part, float)
+            ctypes.memmove(getattr(self.structure.point, name), array.ctypes.data, array.nbytes)
 
     def take(self, derivatives: StageDerivatives) -> None:
         """Take derivatives that are known at the point."""
-        names = ("defects", "path", "equality", "gradient", "F", "G", "E", "H")
-        arrays = {name: np.ascontiguousarray(getattr(derivatives, name), float) for name in names}
-        self._kept += arrays.values()
-        view = c.View(**{name: array.ctypes.data for name, array in arrays.items()})
+        view, self._kept = _view_of(derivatives)
         self._library.kpirl_mpc_kkt_take(self.address, ctypes.addressof(view))
 
     def evaluate(self) -> None:
@@ -122,6 +139,16 @@ class KKTSystem:
         chosen = np.zeros(0) if active is None else np.ascontiguousarray(active, float)
         address = None if active is None else chosen.ctypes.data
         self.finite = bool(self._library.kpirl_mpc_kkt_select(self.address, address))
+
+    def linearise_at(self, solution: Solution, core: Core, derivatives: StageDerivatives | None) -> None:
+        """All of these for a solution of the instance; derivatives that are not known are found by a core."""
+        arrays, _kept = _arrays_of(solution)
+        known = None
+        if derivatives is not None:
+            view, self._kept = _view_of(derivatives)
+            known = ctypes.addressof(view)
+        given = self.address, core.address, ctypes.addressof(arrays), known
+        self.finite = bool(self._library.kpirl_mpc_kkt_linearise(*given))
 
     @property
     def active(self) -> Mask:
@@ -191,10 +218,6 @@ class KKTSystem:
         getattr(self._library, f"kpirl_mpc_{name}")(self.address, given.ctypes.data, result.ctypes.data)
         return result
 
-    def _view(self, address: int, size: int) -> Array:
-        first = (address - self._memory.ctypes.data) // self._memory.itemsize if size else 0
-        return self._memory[first : first + size]
-
 
 class Triple:
     """x, costates and forces of a point, or the right-hand side of a system, for the C code."""
@@ -216,31 +239,54 @@ class Triple:
         return PrimalDual(*self._kept[:3])
 
 
+def check_solution(problem: OCP, solution: Solution) -> None:
+    """Raise ProblemError when the arrays of a solution do not fit the problem."""
+    steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
+    shapes = {"states": (steps + 1, n_s), "actions": (steps, n_u)}
+    for name, shape in shapes.items():
+        given = np.shape(getattr(solution, name))
+        if given != shape:
+            raise ProblemError(f"the solution's {name} must be {shape}, got {given}: it is of another problem.")
+    check_multipliers(problem, solution.multipliers, "solution")
+
+
+def _arrays_of(solution: Solution) -> tuple[Any, list[Array]]:
+    """The structure `kpirl_mpc_solution`, and what must be kept as long."""
+    m = solution.multipliers
+    parts = [solution.states, solution.actions, m.dynamics, m.state, m.action]
+    parts += [m.path, m.terminal, m.path_equality, m.terminal_equality]
+    arrays = [np.ascontiguousarray(part, float) for part in parts]
+    return c.SolutionArrays(*(array.ctypes.data for array in arrays)), arrays
+
+
+def _view_of(derivatives: StageDerivatives) -> tuple[Any, list[Array]]:
+    """The structure `kpirl_mpc_view`, and what must be kept as long."""
+    names = ("defects", "path", "equality", "gradient", "F", "G", "E", "H")
+    arrays = [np.ascontiguousarray(getattr(derivatives, name), float) for name in names]
+    addresses = (array.ctypes.data for array in arrays)
+    return c.View(**dict(zip(names, addresses, strict=True))), arrays
+
+
 def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
     """The point of a solution."""
-    known, rows = solution.multipliers, instance.rows
-    x = by_stage(solution.states, solution.actions)
-    listed = Inequalities.at(rows.bounds, x, np.zeros(0))  # g is not asked for, but its multipliers
-    mu = np.concatenate([known.path.ravel(), known.terminal])
-    nu = np.concatenate([known.path_equality.ravel(), known.terminal_equality])
-    forces = listed.forces(by_stage(known.state, known.action), mu, solution.barrier)
-    return PrimalDual(x, known.dynamics.ravel(), np.concatenate([forces, nu]))
+    system, (arrays, _kept) = KKTSystem(instance), _arrays_of(solution)
+    c.library().kpirl_mpc_kkt_stand(system.address, ctypes.addressof(arrays))
+    return system.point
 
 
-def linearise(
-    instance: Instance,
-    point: PrimalDual,
-    active: Mask | None = None,
-    derivatives: StageDerivatives | None = None,
-) -> KKTSystem:
-    """Evaluate the KKT system at a point for an active set, by default the one that the point suggests.
+def at_solution(problem: OCP, solution: Solution) -> KKTSystem:
+    """The KKT system of a solution, smoothed with its barrier. Raises ProblemError when it is of another problem."""
+    check_solution(problem, solution)
+    system = KKTSystem(Instance.of(problem, solution))
+    with borrow_core(problem) as core:
+        system.linearise_at(solution, core, None)
+    return system
 
-    derivatives: at that point, where a solver ended with them.
-    """
-    system = KKTSystem(instance, point)
-    if derivatives is None:
-        system.evaluate()
-    else:
-        system.take(derivatives)
+
+def linearise(instance: Instance, point: PrimalDual, active: Mask | None = None) -> KKTSystem:
+    """The KKT system at a point for an active set, by default the one that the point suggests."""
+    system = KKTSystem(instance)
+    system.stand(point)
+    system.evaluate()
     system.select(active)
     return system

@@ -84,7 +84,7 @@ class Rows:
         n_w, m, bounds = len(self.largest_bound), len(self.inequality), self.bounds
         longest = max(n_w, m, self.problem.n_parameters, self.problem.n_context)
         integers: dict[str, Any] = {"free": self.free, "entries": bounds.entries, "decisions": self.decisions}
-        integers |= {"inequality": self.inequality, "equality": self.equality}
+        integers |= {"inequality": self.inequality, "equality": self.equality, "other": bounds.other}
         reals = {"signs": bounds.signs, "limits": bounds.limits, "largest_bound": self.largest_bound}
         normal, uniform, sides = (np.random.default_rng(0) for _ in range(3))
         reals |= {"normal": normal.normal(size=max(n_w, m)), "uniform": uniform.uniform(0.5, 1.0, longest)}

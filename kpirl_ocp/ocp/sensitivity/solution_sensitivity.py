@@ -10,12 +10,15 @@ with its certificate.
 
 from __future__ import annotations
 
+import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kpirl_ocp.ocp.interior_point.core import Core
+from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives
@@ -30,7 +33,7 @@ from kpirl_ocp.ocp.sensitivity.certificate import (
 from kpirl_ocp.ocp.sensitivity.evidence import Evidence, measure
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, linearise, primal_dual
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, Memory, check_solution
 from kpirl_ocp.types import Array, Solution
 
 
@@ -81,8 +84,8 @@ class Sensitivity:
     ) -> None:
         check_policy(policy, ("raise", "flag"))
         self.problem, self.solution, self.policy = problem, solution, policy
-        instance = Instance.of(problem, solution)
-        self._system = linearise(instance, primal_dual(instance, solution), derivatives=derivatives)
+        check_solution(problem, solution)
+        self._instance, self._derivatives = Instance.of(problem, solution), derivatives
 
     def pull(self, by_states: ArrayLike, by_actions: ArrayLike) -> Gradients:
         """Gradients of a function L of the trajectory.
@@ -96,13 +99,19 @@ class Sensitivity:
             ProblemError: shapes that do not fit.
         """
         states, actions = self.problem.as_states(by_states), self.problem.as_actions(by_actions)
-        slope = by_stage(states, actions)
-        if not (self._system.finite and np.isfinite(slope).all()):
-            psi, s0, context = (np.full(size, np.nan) for size in self._sizes)
-            return Gradients(psi, s0, context, self._undefined())
-        found, evidence = measure(self._system, self._nearby, slope)
-        s0 = np.where(self.problem.free_start, 0.0, states[0] + found.s0)
-        return Gradients(found.psi, s0, found.context, self._certificate(evidence))
+        return self.pull_by_stage(by_stage(states, actions))
+
+    def pull_by_stage(self, slope: Array) -> Gradients:
+        """`pull` of a slope (n_w,) in the order of time, (s_0, u_0, s_1, .., s_T)."""
+        with borrow_core(self.problem) as core:
+            at = self._linearised(core)
+            if not (at.system.finite and np.isfinite(slope).all()):
+                psi, s0, context = (np.full(size, np.nan) for size in self._sizes)
+                return Gradients(psi, s0, context, self._undefined(at))
+            found, evidence = measure(core, at.system, at.nearby, slope)
+            certificate = self._certificate(at, evidence)
+        s0 = np.where(self.problem.free_start, 0.0, slope[: self.problem.n_states] + found.s0)
+        return Gradients(found.psi, s0, found.context, certificate)
 
     def push(
         self, psi: ArrayLike | None = None, s0: ArrayLike | None = None, context: ArrayLike | None = None
@@ -121,42 +130,51 @@ class Sensitivity:
         given = zip((psi, s0, context), self._sizes, strict=True)
         dpsi, ds0, dcontext = (np.zeros(size) if move is None else move for move, size in given)
         ds0, dpsi, dcontext = self.problem.inputs(ds0, dpsi, dcontext)
-        if not self._system.finite:
-            states, actions = (np.full(part.shape, np.nan) for part in (self.solution.states, self.solution.actions))
-            return Tangent(states, actions, self._undefined())
-        change, residual = self._factorised.push(ByParameters(dpsi, ds0, dcontext))
-        _, evidence = measure(self._system, self._nearby, change.x, change.x)
-        evidence = evidence._replace(linear_residual=residual)
+        with borrow_core(self.problem) as core:
+            at = self._linearised(core)
+            if not at.system.finite:
+                states, actions = (np.full_like(part, np.nan) for part in (self.solution.states, self.solution.actions))
+                return Tangent(states, actions, self._undefined(at))
+            function = ImplicitFunction(at.system, Factorisation(at.system))
+            change, residual = function.push(ByParameters(dpsi, ds0, dcontext))
+            _, evidence = measure(core, at.system, at.nearby, change.x, change.x)
+            certificate = self._certificate(at, evidence._replace(linear_residual=residual))
         problem = self.problem
-        states, actions = split(change.x, problem.horizon, problem.n_states, problem.n_actions)
-        return Tangent(states, actions, self._certificate(evidence))
+        return Tangent(*split(change.x, problem.horizon, problem.n_states, problem.n_actions), certificate)
 
     @property
     def _sizes(self) -> tuple[int, int, int]:
         """Lengths of psi, s_0 and the context."""
         return self.problem.n_parameters, self.problem.n_states, self.problem.n_context
 
-    @cached_property
-    def _factorised(self) -> ImplicitFunction:
-        return ImplicitFunction(self._system, Factorisation(self._system))
+    def _linearised(self, core: Core) -> _Workspace:
+        """The workspace of a core, with the KKT system of this solution in it."""
+        at = core.kept(_Workspace)
+        if at.owner() is not self:
+            at.system = KKTSystem(self._instance, at.here)
+            at.system.linearise_at(self.solution, core, self._derivatives)
+            at.owner = weakref.ref(self)
+        return at
 
-    @cached_property
-    def _nearby(self) -> KKTSystem:
-        return KKTSystem(self._system.instance, self._system.point)
-
-    def _undefined(self) -> SensitivityCertificate:
-        certificate = undefined(self.solution, self._system.active)
+    def _undefined(self, at: _Workspace) -> SensitivityCertificate:
+        certificate = undefined(self.solution, at.system.active)
         require(self.policy, certificate)
         return certificate
 
-    def _certificate(self, evidence: Evidence) -> SensitivityCertificate:
-        solution = self.solution
-        certificate = certified(
-            solution=solution,
-            kkt_residual=solution.residuals.worst,
-            active=self._system.active,
-            barrier=solution.barrier,
-            **evidence._asdict(),
-        )
+    def _certificate(self, at: _Workspace, evidence: Evidence) -> SensitivityCertificate:
+        certificate = certified(self.solution, at.system.active, evidence._asdict())
         require(self.policy, certificate)
         return certificate
+
+
+class _Workspace:
+    """Memory for the KKT system at a solution of a problem, and for the one nearby.
+
+    owner: the `Sensitivity` whose solution it is.
+    """
+
+    system: KKTSystem
+
+    def __init__(self, problem: OCP) -> None:
+        self.here, self.nearby = Memory(problem), Memory(problem)
+        self.owner: Callable[[], Sensitivity | None] = lambda: None

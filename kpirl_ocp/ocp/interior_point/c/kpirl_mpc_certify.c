@@ -71,7 +71,7 @@ static real find_change(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core 
   if (!k->stepped) {
     kpirl_mpc_kkt_step(k, nearby);
     kpirl_mpc_kkt_evaluate(nearby, core);
-    kpirl_mpc_kkt_select(nearby, k->system.active);
+    kpirl_mpc_kkt_select_nearby(nearby, k->system.active);
   }
   copy_triple(&k->system, adjoint, &nearby->adjoint);
   return kpirl_mpc_kkt_change(k, nearby, slope, &nearby->adjoint);

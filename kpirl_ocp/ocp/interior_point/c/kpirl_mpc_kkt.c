@@ -6,8 +6,6 @@
 
 #include <string.h>
 
-static const real NOTHING = (real)1e-9; /* an entry of x that is smaller everywhere has no size of its own */
-static const real LEAST = (real)1e-12;  /* share of the largest curvature, in units of the cost, below which one is none */
 enum { VECTORS = 12, OF_PARAMETERS = 8 };
 
 /* ---- memory -------------------------------------------------------------------------------------------------- */
@@ -149,55 +147,6 @@ void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
   k->factored = k->stepped = 0;
 }
 
-/* ---- what rows are measured by --------------------------------------------------------------------------------- */
-
-/* Every entry of values (n_w) becomes the largest of its kind over the horizon. */
-static void largest_of_kind(int T, int n_s, int n_u, real *values) {
-  const int n_x = n_s + n_u;
-  int t, i;
-  for (i = 0; i < n_x; ++i) {
-    const int count = i < n_s ? T + 1 : T;
-    real most = 0;
-    for (t = 0; t < count; ++t) most = kpirl_mpc_larger(values[t * n_x + i], most);
-    for (t = 0; t < count; ++t) values[t * n_x + i] = most;
-  }
-}
-
-void kpirl_mpc_point_sizes(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows *rows, const real *x, real *sizes) {
-  const int n_w = of->horizon * (of->n_states + of->n_actions) + of->n_states;
-  int i;
-  for (i = 0; i < n_w; ++i) sizes[i] = kpirl_mpc_larger(kpirl_mpc_abs(x[i]), rows->largest_bound[i]);
-  largest_of_kind(of->horizon, of->n_states, of->n_actions, sizes);
-  for (i = 0; i < n_w; ++i)
-    if (!(sizes[i] > NOTHING)) sizes[i] = 1;
-}
-
-/* Of the curvature of each decision by itself, the largest over the horizon. */
-static void find_roots(kpirl_mpc_kkt *k) {
-  kpirl_mpc_system *s = &k->system;
-  const int n_w = kpirl_mpc_system_n_point(s);
-  real *energy = s->scratch, most = 0; /* in the unit of the cost */
-  int i;
-  for (i = 0; i < n_w; ++i) energy[i] = k->curvature[i] * s->sizes[i] * s->sizes[i];
-  for (i = 0; i < n_w; ++i) most = kpirl_mpc_larger(energy[i], most);
-  largest_of_kind(s->horizon, s->n_states, s->n_actions, energy);
-  for (i = 0; i < s->n_decisions; ++i) {
-    const real own = energy[s->decisions[i]], used = own > LEAST * most ? own : most > 0 ? most : 1;
-    s->roots[i] = kpirl_mpc_root(used) / s->sizes[s->decisions[i]];
-  }
-}
-
-real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *k, const real *slack, int i) {
-  const real size = k->row_sizes[i];
-  return size > 0 ? slack[i] / size : slack[i] > 0 ? (real)INFINITY : slack[i];
-}
-
-void kpirl_mpc_relative_forces(const kpirl_mpc_kkt *k, const real *forces, real *relative) {
-  int i;
-  kpirl_mpc_force_shares(&k->system, k->point.costates, k->curvature, relative);
-  for (i = 0; i < kpirl_mpc_system_n_rows(&k->system); ++i) relative[i] = forces[i] == 0 ? 0 : forces[i] * relative[i];
-}
-
 /* ---- active rows ------------------------------------------------------------------------------------------------ */
 
 /* Equalities, and inequalities whose multiplier is above their slack, both relative. Comparing the two, rather than either with a
@@ -224,22 +173,88 @@ static int all_finite(const kpirl_mpc_kkt *k) {
          kpirl_mpc_all_finite(s->sigma, kpirl_mpc_system_n_rows(s));
 }
 
+/* Stiffness of smoothed rows. */
+static void smooth(kpirl_mpc_kkt *k) {
+  int i;
+  for (i = 0; i < kpirl_mpc_system_n_rows(&k->system); ++i)
+    k->system.sigma[i] = k->barrier > 0 && k->rows->inequality[i] ? k->barrier / (k->slack[i] * k->slack[i]) : 0;
+}
+
+static void find_pushing(kpirl_mpc_kkt *k) {
+  int i;
+  for (i = 0; i < kpirl_mpc_system_n_rows(&k->system); ++i) {
+    const int smoothed = k->barrier > 0 && k->rows->inequality[i];
+    k->pushing[i] = smoothed ? k->barrier / k->slack[i] : k->system.active[i] != 0 ? k->point.forces[i] : 0;
+  }
+}
+
 int kpirl_mpc_kkt_select(kpirl_mpc_kkt *k, const real *active) {
   kpirl_mpc_system *s = &k->system;
-  const int m = kpirl_mpc_system_n_rows(s);
-  int i;
   kpirl_mpc_point_sizes(&k->dimensions, k->rows, k->point.x, s->sizes);
   kpirl_mpc_system_curvature(s, k->curvature);
   kpirl_mpc_row_sizes(s, k->row_sizes);
   if (active)
-    memcpy(s->active, active, (size_t)m * sizeof(real));
+    memcpy(s->active, active, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
   else
     guess_active(k);
-  for (i = 0; i < m; ++i) {
-    const int smoothed = k->barrier > 0 && k->rows->inequality[i];
-    s->sigma[i] = smoothed ? k->barrier / (k->slack[i] * k->slack[i]) : 0;
-    k->pushing[i] = smoothed ? k->barrier / k->slack[i] : s->active[i] != 0 ? k->point.forces[i] : 0;
-  }
-  find_roots(k);
+  smooth(k);
+  find_pushing(k);
+  kpirl_mpc_find_roots(k);
   return all_finite(k);
+}
+
+void kpirl_mpc_kkt_select_nearby(kpirl_mpc_kkt *k, const real *active) {
+  kpirl_mpc_point_sizes(&k->dimensions, k->rows, k->point.x, k->system.sizes);
+  memcpy(k->system.active, active, (size_t)kpirl_mpc_system_n_rows(&k->system) * sizeof(real));
+  smooth(k);
+}
+
+/* ---- of a solution ------------------------------------------------------------------------------------------------ */
+
+/* x (n_w) of rows of s and of u. */
+static void by_stage(const kpirl_mpc_system *s, const real *states, const real *actions, real *x) {
+  const int n_s = s->n_states, n_u = s->n_actions;
+  int t;
+  for (t = 0; t <= s->horizon; ++t) {
+    memcpy(x + t * (n_s + n_u), states + t * n_s, (size_t)n_s * sizeof(real));
+    if (t < s->horizon) memcpy(x + t * (n_s + n_u) + n_s, actions + t * n_u, (size_t)n_u * sizeof(real));
+  }
+}
+
+static void find_bound_forces(kpirl_mpc_kkt *k, const real *net, real *slack) {
+  const kpirl_mpc_system *s = &k->system;
+  int i;
+  for (i = 0; i < s->n_bounds; ++i) slack[i] = s->signs[i] * (k->rows->limits[i] - k->point.x[s->entries[i]]);
+  for (i = 0; i < s->n_bounds; ++i) {
+    const int other = k->rows->other[i], twice = other != i;
+    const real own = s->signs[i] * net[s->entries[i]];
+    k->point.forces[i] = twice && own < 0 ? 0 : own;
+    if (k->barrier > 0 && twice && k->rows->inequality[i])
+      k->point.forces[i] = slack[i] > slack[other] ? k->barrier / slack[i] : own + k->barrier / slack[other];
+  }
+}
+
+void kpirl_mpc_kkt_stand(kpirl_mpc_kkt *k, const kpirl_mpc_solution *at) {
+  const kpirl_mpc_system *s = &k->system;
+  const size_t T = (size_t)s->horizon, n_h = T * (size_t)s->n_path, n_e = T * (size_t)s->n_equality;
+  real *net = k->work, *place = k->point.forces + s->n_bounds;
+  by_stage(s, at->states, at->actions, k->point.x);
+  memcpy(k->point.costates, at->dynamics, T * (size_t)s->n_states * sizeof(real));
+  by_stage(s, at->of_states, at->of_actions, net);
+  find_bound_forces(k, net, net + kpirl_mpc_system_n_point(s));
+  memcpy(place, at->path, n_h * sizeof(real));
+  memcpy(place + n_h, at->terminal, (size_t)s->n_terminal * sizeof(real));
+  place += n_h + (size_t)s->n_terminal;
+  memcpy(place, at->equality, n_e * sizeof(real));
+  memcpy(place + n_e, at->terminal_equality, (size_t)s->n_terminal_equality * sizeof(real));
+}
+
+int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_solution *solution,
+                            const kpirl_mpc_view *derivatives) {
+  kpirl_mpc_kkt_stand(k, solution);
+  if (derivatives)
+    kpirl_mpc_kkt_take(k, derivatives);
+  else
+    kpirl_mpc_kkt_evaluate(k, core);
+  return kpirl_mpc_kkt_select(k, NULL);
 }

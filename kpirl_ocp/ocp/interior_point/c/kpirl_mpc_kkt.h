@@ -13,6 +13,7 @@ typedef struct kpirl_mpc_rows {
   int n_free, n_bounds, n_decisions;
   const int *free, *entries, *decisions; /* as in kpirl_mpc_system */
   const int *inequality, *equality;      /* (m) 1 for rows that may be active or not, and for those that always are */
+  const int *other;                      /* (n_bounds) the row of the other side, or the row itself where that is not bounded */
   const real *signs, *limits;            /* (n_bounds) slack = sign (limit - x) */
   const real *largest_bound;             /* (n_w) of each entry of x, zero where there is none */
   const real *normal, *uniform, *spread; /* random numbers, always the same: (n_w or m) normal; (the longest array) in [1/2, 1),
@@ -70,6 +71,12 @@ typedef struct kpirl_mpc_kkt {
   int factored, stepped;
 } kpirl_mpc_kkt;
 
+/* A solution as arrays that are by rows, one row per stage: S (T+1, n_s), U (T, n_u), and the multipliers of the dynamics (T, n_s), of
+ * the bounds of S and U, positive at an upper and negative at a lower one, of h, h_T, e and e_T. */
+typedef struct kpirl_mpc_solution {
+  const real *states, *actions, *dynamics, *of_states, *of_actions, *path, *terminal, *equality, *terminal_equality;
+} kpirl_mpc_solution;
+
 /* Measurements, as in Python's SensitivityCertificate. */
 typedef struct kpirl_mpc_evidence {
   real curvature, qualification, step, margin, change, kink, linear_residual;
@@ -80,6 +87,9 @@ typedef struct kpirl_mpc_by_parameters {
   real *psi, *s0, *context;
 } kpirl_mpc_by_parameters;
 
+/* The roots of the decisions: of the curvature of each by itself, the largest over the horizon. */
+void kpirl_mpc_find_roots(kpirl_mpc_kkt *kkt);
+
 /* Forces (m) over the others on one of the entries of x that they act on, into `relative`; and one slack over the sizes of what it is
  * made of. */
 void kpirl_mpc_relative_forces(const kpirl_mpc_kkt *kkt, const real *forces, real *relative);
@@ -87,6 +97,10 @@ real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *kkt, const real *slack, int r
 
 /* Lay out memory for a problem; returns how many numbers it takes. memory NULL: count only. */
 size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *kkt, const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, real *memory);
+
+/* A solution as kkt->point. Of two sides of a bound the force is on the one that pushes; with a barrier both push, and only their
+ * difference is known: the further one pushes with tau / slack, the nearer one with the rest. */
+void kpirl_mpc_kkt_stand(kpirl_mpc_kkt *kkt, const kpirl_mpc_solution *solution);
 
 /* Derivatives at kkt->point: from a core; or take over those that are known, whose matrices must stay. path: h and h_T; equality:
  * e and e_T. */
@@ -96,6 +110,13 @@ void kpirl_mpc_kkt_take(kpirl_mpc_kkt *kkt, const kpirl_mpc_view *derivatives);
 /* Sizes, stiffness of smoothed rows, active rows (where `active` is NULL those that the point suggests), forces and roots. Returns
  * whether all is finite. */
 int kpirl_mpc_kkt_select(kpirl_mpc_kkt *kkt, const real *active);
+
+/* All of these for a solution; derivatives NULL: they are evaluated. */
+int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_solution *solution,
+                            const kpirl_mpc_view *derivatives);
+
+/* Sizes, stiffness and active rows as elsewhere: enough for kpirl_mpc_kkt_change. */
+void kpirl_mpc_kkt_select_nearby(kpirl_mpc_kkt *kkt, const real *active);
 
 /* Factors, lowest, softest and qualification, unless they are known. */
 void kpirl_mpc_kkt_factor(kpirl_mpc_kkt *kkt);

@@ -36,7 +36,8 @@ int kpirl_mpc_layout(void) {
                                  sizeof(kpirl_mpc_view),       sizeof(kpirl_mpc_residuals), sizeof(kpirl_mpc_iteration),
                                  sizeof(kpirl_mpc_buffered),   sizeof(kpirl_mpc_compiled),  sizeof(kpirl_mpc_system),
                                  sizeof(kpirl_mpc_triple),     sizeof(kpirl_mpc_rows),      sizeof(kpirl_mpc_kkt),
-                                 sizeof(kpirl_mpc_evidence),   sizeof(kpirl_mpc_by_parameters)};
+                                 sizeof(kpirl_mpc_evidence),   sizeof(kpirl_mpc_by_parameters),
+                                 sizeof(kpirl_mpc_solution)};
   size_t sum = 0, i;
   for (i = 0; i < sizeof sizes / sizeof *sizes; ++i) sum += (i + 1) * sizes[i];
   return (int)sum;

@@ -2,11 +2,13 @@
  *
  * What slacks, forces and steps of a linearised KKT system are compared with, so that no unit counts.
  */
-#include "kpirl_mpc_system.h"
+#include "kpirl_mpc_kkt.h"
 
 #include <string.h>
 
-static const real LEAST = (real)1e-3; /* share of the largest force, in units of the cost, that every force is compared with */
+static const real LEAST_FORCE = (real)1e-3; /* share of the largest one, in units of the cost, that every force is compared with */
+static const real NOTHING = (real)1e-9;     /* an entry of x that is smaller everywhere has no size of its own */
+static const real LEAST = (real)1e-12;      /* share of the largest curvature, in units of the cost, below which one is none */
 
 void kpirl_mpc_system_curvature(const kpirl_mpc_system *s, real *curvature) {
   const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
@@ -69,6 +71,54 @@ void kpirl_mpc_force_shares(const kpirl_mpc_system *s, const real *costates, con
   for (t = 0; t < T; ++t)
     for (i = 0; i < n_s; ++i) balanced[(t + 1) * n_x + i] += kpirl_mpc_abs(costates[t * n_s + i]);
   for (i = 0; i < n_w; ++i) most = kpirl_mpc_larger(most, balanced[i] * s->sizes[i]);
-  for (i = 0; i < n_w; ++i) balanced[i] = 1 / kpirl_mpc_larger(balanced[i], LEAST * most / s->sizes[i]);
+  for (i = 0; i < n_w; ++i) balanced[i] = 1 / kpirl_mpc_larger(balanced[i], LEAST_FORCE * most / s->sizes[i]);
   measure(s, balanced, 1, shares);
+}
+
+/* ---- of a point ------------------------------------------------------------------------------------------------ */
+
+/* Every entry of values (n_w) becomes the largest of its kind over the horizon. */
+static void largest_of_kind(int T, int n_s, int n_u, real *values) {
+  const int n_x = n_s + n_u;
+  int t, i;
+  for (i = 0; i < n_x; ++i) {
+    const int count = i < n_s ? T + 1 : T;
+    real most = 0;
+    for (t = 0; t < count; ++t) most = kpirl_mpc_larger(values[t * n_x + i], most);
+    for (t = 0; t < count; ++t) values[t * n_x + i] = most;
+  }
+}
+
+void kpirl_mpc_point_sizes(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows *rows, const real *x, real *sizes) {
+  const int n_w = of->horizon * (of->n_states + of->n_actions) + of->n_states;
+  int i;
+  for (i = 0; i < n_w; ++i) sizes[i] = kpirl_mpc_larger(kpirl_mpc_abs(x[i]), rows->largest_bound[i]);
+  largest_of_kind(of->horizon, of->n_states, of->n_actions, sizes);
+  for (i = 0; i < n_w; ++i)
+    if (!(sizes[i] > NOTHING)) sizes[i] = 1;
+}
+
+void kpirl_mpc_find_roots(kpirl_mpc_kkt *k) {
+  kpirl_mpc_system *s = &k->system;
+  const int n_w = kpirl_mpc_system_n_point(s);
+  real *energy = s->scratch, most = 0; /* in the unit of the cost */
+  int i;
+  for (i = 0; i < n_w; ++i) energy[i] = k->curvature[i] * s->sizes[i] * s->sizes[i];
+  for (i = 0; i < n_w; ++i) most = kpirl_mpc_larger(energy[i], most);
+  largest_of_kind(s->horizon, s->n_states, s->n_actions, energy);
+  for (i = 0; i < s->n_decisions; ++i) {
+    const real own = energy[s->decisions[i]], used = own > LEAST * most ? own : most > 0 ? most : 1;
+    s->roots[i] = kpirl_mpc_root(used) / s->sizes[s->decisions[i]];
+  }
+}
+
+real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *k, const real *slack, int i) {
+  const real size = k->row_sizes[i];
+  return size > 0 ? slack[i] / size : slack[i] > 0 ? (real)INFINITY : slack[i];
+}
+
+void kpirl_mpc_relative_forces(const kpirl_mpc_kkt *k, const real *forces, real *relative) {
+  int i;
+  kpirl_mpc_force_shares(&k->system, k->point.costates, k->curvature, relative);
+  for (i = 0; i < kpirl_mpc_system_n_rows(&k->system); ++i) relative[i] = forces[i] == 0 ? 0 : forces[i] * relative[i];
 }

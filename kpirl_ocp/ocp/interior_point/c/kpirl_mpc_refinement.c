@@ -162,8 +162,9 @@ real kpirl_mpc_system_change(const kpirl_mpc_system *s, const kpirl_mpc_system *
   const real least = least_norm(s, right->x);
   const real whole = kpirl_mpc_larger(kpirl_mpc_decision_norm(s, point->x), NOTHING * least);
   kpirl_mpc_triple residual;
-  real *work = kpirl_mpc_place_triple(s, s->scratch + kpirl_mpc_system_inner_scratch(s), &residual), *before = work, last = 0, change = 0;
+  real *work = s->scratch + kpirl_mpc_system_inner_scratch(s), *before, last = 0, change = 0;
   int i, k;
+  before = kpirl_mpc_place_triple(s, work, &residual);
   work = before + n_w;
   memcpy(before, point->x, (size_t)n_w * sizeof(real));
   for (k = 0; k <= CHANGES; ++k) {
