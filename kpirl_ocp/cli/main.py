@@ -31,6 +31,7 @@ COMMANDS = (
     "demo",
     "collect",
     "train-keypoints",
+    "train-robust",
     "train-dynamics",
 )
 EXTRAS = {"av": "perception", "cv2": "perception", "pybullet": "perception", "torch": "perception", "onnx": "onnx"}

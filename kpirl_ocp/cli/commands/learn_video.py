@@ -15,7 +15,7 @@ from kpirl_ocp.errors import DemonstrationError, OptionError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.visual.camera_learning import camera_demonstration, check_reach, learn_in_image
 from kpirl_ocp.ocp.export.folder import export_c
-from kpirl_ocp.perception.detector.film_tracks import detector_tracks
+from kpirl_ocp.perception.detector.tracks import detector_tracks
 from kpirl_ocp.perception.tracking.admission import moving_part, refusal
 from kpirl_ocp.perception.tracking.pictures import evenly, track_film, track_sheet
 from kpirl_ocp.perception.tracking.tracks import Tracks, read_tracks, write_tracks

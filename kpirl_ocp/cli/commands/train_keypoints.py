@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,20 +15,22 @@ import torch
 from kpirl_ocp import figures
 from kpirl_ocp.errors import TrainingError
 from kpirl_ocp.perception.data.clips import read_recordings, read_videos
+from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.evaluation import DetectorScores, score
 from kpirl_ocp.perception.detector.track_images import contact_sheet, track_video
-from kpirl_ocp.perception.detector.training import PRESETS, TERMS, Trained, train_detector
+from kpirl_ocp.perception.detector.training import PRESETS, train_detector
 from kpirl_ocp.perception.detector.verdict import faults
 from kpirl_ocp.reporting import table, write_metrics
+from kpirl_ocp.types import Array
 
 
-def draw_curves(trained: Trained, path: Path) -> Path:
+def draw_curves(curves: Mapping[str, Array], path: Path) -> Path:
     """One panel a term of the loss."""
-    figure, axes = figures.new_figure(1, len(TERMS), width=2.6, height=2.4)
-    for axis, name in zip(axes, TERMS, strict=True):
-        axis.plot(trained.curves[name], color=figures.COLOURS[0], linewidth=0.8)
-        axis.set(title=name, xlabel="step", yscale="log" if (trained.curves[name] > 0).all() else "linear")
+    figure, axes = figures.new_figure(1, len(curves), width=2.6, height=2.4)
+    for axis, (name, curve) in zip(axes, curves.items(), strict=True):
+        axis.plot(curve, color=figures.COLOURS[0], linewidth=0.8)
+        axis.set(title=name, xlabel="step", yscale="log" if (curve > 0).all() else "linear")
         axis.grid(alpha=0.3, which="both")
     axes[0].set_ylabel("loss")
     return figures.save(figure, path)
@@ -41,16 +46,72 @@ def score_rows(scores: dict[str, DetectorScores]) -> list[list[object]]:
     return rows
 
 
+@contextmanager
+def resumable(checkpoint: Path) -> Iterator[None]:
+    """After Ctrl-C: where the training can go on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = f"the last checkpoint is {checkpoint}; the same command goes on" if checkpoint.exists() else ""
+        raise KeyboardInterrupt(kept) from None
+
+
+def finish(
+    args: Namespace,
+    settings: Mapping[str, Any],
+    detector: KeypointDetector,
+    card: Mapping[str, Any],
+    curves: Mapping[str, Array],
+    *,
+    wrong: Sequence[str] = (),
+    clips: Sequence[Frames] = (),
+) -> None:
+    """Score a trained detector on --test, draw, and save it as good or rejected.
+
+    wrong: faults that are known already. clips: to judge it by where there is nothing to test on.
+
+    Raises TrainingError if it is not good.
+    """
+    out = args.out
+    tests = {Path(directory).name: read_recordings(directory) for directory in args.test}
+    wrong = [*wrong, *faults(detector, [clip.images for held_out in tests.values() for clip in held_out] or clips)]
+    scores = {name: score(detector, held_out) for name, held_out in tests.items()}
+    results = {
+        "steps": len(curves["total"]),
+        "losses": {name: float(curve[-50:].mean()) for name, curve in curves.items()},
+        "scores": {name: asdict(found) | {"on_object": found.on_object} for name, found in scores.items()},
+    }
+    write_metrics(out, vars(args) | dict(settings), results)
+    metrics = {
+        name: {
+            "error": float(s.error.mean()),
+            "displacement": float(np.median(s.displacement)),
+            "on_object": s.on_object,
+        }
+        for name, s in scores.items()
+    }
+    model = detector.save(out / ("rejected.json" if wrong else "detector.json"), dict(card) | {"metrics": metrics})
+    if scores:
+        header = ["", "error [px]", "on the bottle", "displacement error [px]", "jitter [px]"]
+        print(table(header, score_rows(scores)))
+        sheet = {name: (held[0].images, detector.detect(held[0].images)) for name, held in tests.items()}
+        print(f"\nsheet:  {contact_sheet(out / 'contact_sheet.png', sheet)}")
+        for name, (images, keypoints) in sheet.items():
+            track_video(out / f"tracks_{name}.mp4", images, keypoints, rate=5)
+    print(f"curves: {draw_curves(curves, out / 'curves.png')}\nmodel:  {model}")
+    if wrong:
+        raise TrainingError(f"the detector is not good: {'; '.join(wrong)}. It is kept as {model}.")
+
+
 def main(args: Namespace) -> None:
     """Train, score, draw."""
     torch.set_num_threads(args.threads)
-    out = args.out
     settings = PRESETS[args.preset]
     settings = settings if args.steps is None else replace(settings, steps=args.steps)
     clips = [clip.images for clip in read_recordings(args.data)]
     others = read_videos(args.videos)
-    checkpoint = out / "checkpoint.safetensors"
-    try:
+    checkpoint = args.out / "checkpoint.safetensors"
+    with resumable(checkpoint):
         trained = train_detector(
             clips,
             settings,
@@ -60,37 +121,11 @@ def main(args: Namespace) -> None:
             checkpoint=checkpoint,
             device=args.device,
         )
-    except KeyboardInterrupt:
-        kept = f"the last checkpoint is {checkpoint}; the same command goes on" if checkpoint.exists() else ""
-        raise KeyboardInterrupt(kept) from None
     detector, wrong = KeypointDetector(trained.model, settings.size), []
     try:
         detector = detector.calibrated(others or clips)
     except TrainingError as error:
         wrong = [str(error).rstrip(".")]
 
-    tests = {Path(directory).name: read_recordings(directory) for directory in args.test}
-    wrong += faults(detector, [clip.images for held_out in tests.values() for clip in held_out] or [*clips, *others])
-    scores = {name: score(detector, held_out) for name, held_out in tests.items()}
-    results = {
-        "steps": len(trained.curves["total"]),
-        "losses": {name: float(curve[-50:].mean()) for name, curve in trained.curves.items()},
-        "scores": {name: asdict(found) | {"on_object": found.on_object} for name, found in scores.items()},
-    }
-    write_metrics(out, vars(args) | asdict(settings), results)
-    card = {
-        "architecture": {name: getattr(settings, name) for name in ("size", "keypoints", "encoder", "filters")},
-        "training": {"preset": args.preset, "seed": args.seed, "clips": len(clips), "videos": len(others)},
-        "metrics": {name: {"error": float(s.error.mean()), "on_object": s.on_object} for name, s in scores.items()},
-    }
-    model = detector.save(out / ("rejected.json" if wrong else "detector.json"), card)
-    if scores:
-        header = ["", "error [px]", "on the bottle", "displacement error [px]", "jitter [px]"]
-        print(table(header, score_rows(scores)))
-        sheet = {name: (held[0].images, detector.detect(held[0].images)) for name, held in tests.items()}
-        print(f"\nsheet:  {contact_sheet(out / 'contact_sheet.png', sheet)}")
-        for name, (images, keypoints) in sheet.items():
-            track_video(out / f"tracks_{name}.mp4", images, keypoints, rate=5)
-    print(f"curves: {draw_curves(trained, out / 'curves.png')}\nmodel:  {model}")
-    if wrong:
-        raise TrainingError(f"the detector is not good: {'; '.join(wrong)}. It is kept as {model}.")
+    card = {"training": {"preset": args.preset, "seed": args.seed, "clips": len(clips), "videos": len(others)}}
+    finish(args, asdict(settings), detector, card, trained.curves, wrong=wrong, clips=[*clips, *others])

@@ -8,7 +8,7 @@ bottle stays in the image.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import ClassVar, Protocol, TypeVar
@@ -16,23 +16,17 @@ from typing import ClassVar, Protocol, TypeVar
 import numpy as np
 
 from kpirl_ocp.episodes import write_episode
-from kpirl_ocp.errors import ProblemError, SceneError
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.motion import forward_then_down, minimum_jerk
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.recordings import ArmRecording, GroundTruth
+from kpirl_ocp.perception.data.references import IN_PLANE, SHELF, carried, first_visible, random_posture, sine
 from kpirl_ocp.perception.data.surroundings import SURROUNDINGS_HELP, filmed
-from kpirl_ocp.perception.scene.bodies import BOTTLE
+from kpirl_ocp.perception.scene.frame import Frame
 from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path, wandering_path
-from kpirl_ocp.perception.scene.posture import UPRIGHT, inverse_kinematics
-from kpirl_ocp.perception.scene.scene import Scene
+from kpirl_ocp.perception.scene.posture import UPRIGHT
+from kpirl_ocp.perception.scene.scene import JointState, Scene
 from kpirl_ocp.types import Array
-
-# Where the bottle may be in the plane of the camera [m, m, rad]: above the shelf and well inside the image.
-_NEAR, _FAR = np.array([0.50, 0.42, -0.3]), np.array([0.76, 0.72, 0.3])
-_IN_PLANE = np.array([False, True, False, True, False, True, False])  # joints 2, 4 and 6
-_MARGIN = 25.0  # the middle of the bottle stays this far from the image's edge [pixels]
-_SHELF = 0.415  # height of the middle of a bottle that stands on the shelf [m]
-
 
 T = TypeVar("T", int, float)
 
@@ -64,9 +58,22 @@ class Motion(Protocol):
         """Frames per second."""
         ...
 
+    def film(self, rng: np.random.Generator) -> list[Frame]:
+        """The frames of one episode before the white wall."""
+        ...
+
     def write(self, path: Path, rng: np.random.Generator) -> None:
         """Play one episode and write it to `path`; the same generator state gives the same one."""
         ...
+
+
+@dataclass(frozen=True)
+class Played:
+    """An episode of the robot: frames and measured states at T+1 times, and T commands (7,) [rad] between them."""
+
+    frames: list[Frame]
+    states: list[JointState]
+    actions: list[Array]
 
 
 @dataclass(frozen=True)
@@ -81,8 +88,24 @@ class ArmMotion(_Checked, ABC):
         Scene(rate=self.rate)  # refuses a rate that it cannot keep
 
     @abstractmethod
+    def play(self, rng: np.random.Generator) -> Played:
+        """Play one episode."""
+
+    def film(self, rng: np.random.Generator) -> list[Frame]:
+        """The frames of one episode before the white wall."""
+        return self.play(rng).frames
+
     def record(self, rng: np.random.Generator) -> ArmRecording:
-        """Play and record one episode."""
+        """Play one episode and film it in the surroundings."""
+        played = self.play(rng)
+        frames = filmed(played.frames, self.surroundings, rng)
+        return ArmRecording(
+            **ArmRecording.columns(frames, self.rate),
+            images=np.array([frame.rgb for frame in frames]),
+            joints=np.array([state.positions for state in played.states]),
+            velocities=np.array([state.velocities for state in played.states]),
+            actions=np.array(played.actions),
+        )
 
     def write(self, path: Path, rng: np.random.Generator) -> None:
         """Play one episode and write it to `path`."""
@@ -98,16 +121,16 @@ class LastJoint(ArmMotion):
     swing: float = setting(0.8, "largest amplitude of the last joint [rad]", 0.0)
     off_plane: float = setting(0.1, "how far joints 1, 3 and 5 are from the plane of the camera, at most [rad]", 0.0)
 
-    def record(self, rng: np.random.Generator) -> ArmRecording:
+    def play(self, rng: np.random.Generator) -> Played:
         """One sequence."""
 
         def draw() -> Array:
-            start = np.where(_IN_PLANE, _posture(rng), rng.uniform(-self.off_plane, self.off_plane, 7))
-            swing = _sine(rng, self.frames, self.rate, (0.5 * self.swing, self.swing), (0.10, 0.25))
+            start = np.where(IN_PLANE, random_posture(rng), rng.uniform(-self.off_plane, self.off_plane, 7))
+            swing = sine(rng, self.frames, self.rate, (0.5 * self.swing, self.swing), (0.10, 0.25))
             return start + np.outer(swing, np.eye(7)[6])
 
         with Scene(rate=self.rate) as scene:
-            return _follow(scene, _visible(scene, draw), rng, self.surroundings)
+            return _follow(scene, first_visible(scene, draw))
 
 
 @dataclass(frozen=True)
@@ -119,16 +142,16 @@ class Sines(ArmMotion):
     amplitude: float = setting(0.25, "largest amplitude of joints 2, 4 and 6 [rad]", 0.0)
     others: float = setting(0.03, "largest amplitude of the other joints [rad]", 0.0)
 
-    def record(self, rng: np.random.Generator) -> ArmRecording:
+    def play(self, rng: np.random.Generator) -> Played:
         """One trajectory."""
 
         def draw() -> Array:
-            most = np.where(_IN_PLANE, self.amplitude, self.others)
-            sines = [_sine(rng, self.steps + 1, self.rate, (0.3 * a, a), (0.05, 0.30)) for a in most]
-            return _posture(rng) + np.column_stack(sines)
+            most = np.where(IN_PLANE, self.amplitude, self.others)
+            sines = [sine(rng, self.steps + 1, self.rate, (0.3 * a, a), (0.05, 0.30)) for a in most]
+            return random_posture(rng) + np.column_stack(sines)
 
         with Scene(rate=self.rate) as scene:
-            return _follow(scene, _visible(scene, draw), rng, self.surroundings)
+            return _follow(scene, first_visible(scene, draw))
 
 
 @dataclass(frozen=True)
@@ -145,20 +168,20 @@ class Placing(ArmMotion):
     noise: float = setting(0.03, "standard deviation added to each action, joints 2, 4 and 6 [rad]", 0.0)
     others: float = setting(0.005, "the same for the other joints [rad]", 0.0)
 
-    def record(self, rng: np.random.Generator) -> ArmRecording:
+    def play(self, rng: np.random.Generator) -> Played:
         """One trajectory."""
 
         def draw() -> Array:
             forward, down = rng.uniform(0.08, 0.22), rng.uniform(0.08, 0.25)
-            end = np.array([rng.uniform(0.64, 0.74), 0.0, _SHELF + rng.uniform(0.0, 0.06)])
+            end = np.array([rng.uniform(0.64, 0.74), 0.0, SHELF + rng.uniform(0.0, 0.06)])
             path = end - [forward, 0.0, -down] + forward_then_down(forward, down, np.linspace(0, 1, self.steps + 1))
-            return _carried(path, UPRIGHT + rng.uniform(-0.2, 0.2))
+            return carried(path, UPRIGHT + rng.uniform(-0.2, 0.2))
 
         with Scene(rate=self.rate) as scene:
-            reference = _visible(scene, draw)
-            spread = np.where(_IN_PLANE, self.noise, self.others)
+            reference = first_visible(scene, draw)
+            spread = np.where(IN_PLANE, self.noise, self.others)
             noise = rng.normal(0.0, spread, (self.steps, 7))
-            return _follow(scene, reference, rng, self.surroundings, noise)
+            return _follow(scene, reference, noise)
 
 
 @dataclass(frozen=True)
@@ -168,17 +191,17 @@ class Reaching(ArmMotion):
     episodes: ClassVar[int] = 15
     steps: int = setting(25, "actions per demonstration")
 
-    def record(self, rng: np.random.Generator) -> ArmRecording:
+    def play(self, rng: np.random.Generator) -> Played:
         """One demonstration, with a person's speed profile."""
 
         def draw() -> Array:
             progress = minimum_jerk(np.linspace(0, 1, self.steps + 1))
             start = np.array([rng.uniform(0.50, 0.58), 0.0, rng.uniform(0.46, 0.66)])
             path = start + np.outer(progress, [rng.uniform(0.12, 0.20), 0.0, 0.0])
-            return _carried(path, UPRIGHT)
+            return carried(path, UPRIGHT)
 
         with Scene(rate=self.rate) as scene:
-            return _follow(scene, _visible(scene, draw), rng, self.surroundings)
+            return _follow(scene, first_visible(scene, draw))
 
 
 @dataclass(frozen=True)
@@ -194,11 +217,14 @@ class HandMotion(_Checked, ABC):
     def path(self, rng: np.random.Generator) -> Array:
         """Path of the bottle (n, 3) [m]."""
 
+    def film(self, rng: np.random.Generator) -> list[Frame]:
+        """The frames of one clip before the white wall."""
+        with HandScene() as scene:
+            return [scene.look(position) for position in self.path(rng)]
+
     def write(self, path: Path, rng: np.random.Generator) -> None:
         """Film one clip: the truth to `path`, the video beside it."""
-        with HandScene() as scene:
-            frames = [scene.look(position) for position in self.path(rng)]
-        frames = filmed(frames, self.surroundings, rng)
+        frames = filmed(self.film(rng), self.surroundings, rng)
         write_video(path.with_suffix(".avi"), np.array([frame.rgb for frame in frames]), self.rate)
         write_episode(path, GroundTruth(**GroundTruth.columns(frames, self.rate)))
 
@@ -236,62 +262,11 @@ MOTIONS: Mapping[str, type[Motion]] = {
 }
 
 
-def _posture(rng: np.random.Generator) -> Array:
-    """A posture (7,) [rad] with the bottle somewhere in front of the camera."""
-    x, z, tilt = rng.uniform(_NEAR, _FAR)
-    return inverse_kinematics(x, z, UPRIGHT + tilt)
-
-
-def _carried(path: Array, pitch: float) -> Array:
-    """Postures (n, 7) [rad] along a path (n, 3) [m] of the bottle in the plane."""
-    return np.array([inverse_kinematics(x, z, pitch) for x, _, z in path])
-
-
-def _sine(
-    rng: np.random.Generator, count: int, rate: int, amplitude: tuple[float, float], frequency: tuple[float, float]
-) -> Array:
-    """A sine (count,) [rad] of random amplitude [rad], frequency [Hz] and phase."""
-    times = np.arange(count) / rate
-    return rng.uniform(*amplitude) * np.sin(2 * np.pi * (rng.uniform(*frequency) * times + rng.uniform()))
-
-
-def _visible(scene: Scene, draw: Callable[[], Array]) -> Array:
-    """The first drawn reference (n, 7) [rad] within the joint limits, with the bottle in the image, above the shelf."""
-    low, high = scene.joint_limits
-    size = np.array([scene.camera.width, scene.camera.height])
-    for _ in range(1000):
-        try:
-            reference = draw()
-        except SceneError:
-            continue  # out of reach
-        if ((reference >= low) & (reference <= high)).all():
-            positions = np.array([_position(scene, theta) for theta in reference])
-            places = scene.camera.project(positions)
-            if ((places > _MARGIN) & (places < size - _MARGIN)).all() and (positions[:, 2] > _SHELF - 1e-3).all():
-                return reference
-    raise SceneError("no motion with the bottle in the image was found in 1000 draws: use smaller amplitudes.")
-
-
-def _position(scene: Scene, theta: Array) -> Array:
-    """Position of the bottle (3,) [m] with the arm at theta (7,) [rad]."""
-    scene.reset(theta)
-    return scene.link_pose(BOTTLE)[1]
-
-
-def _follow(
-    scene: Scene, reference: Array, rng: np.random.Generator, surroundings: int, noise: Array | None = None
-) -> ArmRecording:
-    """Record the robot following joint positions (T+1, 7) [rad]; every action aims at the next one."""
+def _follow(scene: Scene, reference: Array, noise: Array | None = None) -> Played:
+    """The robot following joint positions (T+1, 7) [rad]; every action aims at the next one."""
     states, frames, actions = [scene.reset(reference[0])], [scene.render()], []
     for step, target in enumerate(reference[1:]):
         actions.append(target - states[-1].positions + (0.0 if noise is None else noise[step]))
         states.append(scene.step(actions[-1]))
         frames.append(scene.render())
-    frames = filmed(frames, surroundings, rng)
-    return ArmRecording(
-        **ArmRecording.columns(frames, scene.rate),
-        images=np.array([frame.rgb for frame in frames]),
-        joints=np.array([state.positions for state in states]),
-        velocities=np.array([state.velocities for state in states]),
-        actions=np.array(actions),
-    )
+    return Played(frames, states, actions)

@@ -27,6 +27,7 @@ _SHARES = (0.2, 0.3, 0.5)  # of the levels 0, 1 and 2 at level 3
 _SHAPES = 40  # on a cluttered wall
 _TINTS, _OBJECT_TINT = 0.5, 0.15  # largest change of a body's colour, and of the object's
 _LIGHT, _WARMTH = 0.35, 0.1  # largest change of brightness across the image, and of its colours
+_JPEG, _GRAIN, _STRENGTH = (25, 95), (0.5, 3.0), 40.0  # quality; grain's size [pixels] and deviation [grey levels]
 _ZOOM, _SHAKE, _NOISE = 0.1, 1.5, 8.0  # of the size, [pixels] and [grey levels], at most
 
 
@@ -42,6 +43,33 @@ def filmed(frames: Sequence[Frame], level: int, rng: np.random.Generator) -> lis
         return _before(frames, np.broadcast_to(rng.integers(0, 256, 3), shape).astype(np.uint8))
     frames = _tinted(_before(frames, clutter(rng, *shape[:2])), rng)
     return _compressed(_noisy(_lit(_shaken(frames, rng), rng), rng), int(rng.integers(20, 34)))
+
+
+def random_view(frame: Frame, rng: np.random.Generator) -> Frame:
+    """One frame in surroundings that are drawn for it alone, compressed as a picture; `place` may be several points."""
+    level = int(rng.choice(3, p=_SHARES))
+    if level < 2:
+        return filmed([frame], level, rng)[0]
+    wall = textured(clutter(rng, *frame.rgb.shape[:2]), rng)
+    view = _noisy(_lit(_shaken(_tinted(_before([frame], wall), rng), rng), rng), rng)[0]
+    _, data = cv2.imencode(".jpg", view.rgb, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(*_JPEG))])
+    return _with(view, np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8))
+
+
+def without_bottle(frame: Frame) -> Frame:
+    """The frame with the wall where the bottle was, its edge with it."""
+    there = cv2.dilate(frame.bottle.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    rgb = np.where(there[..., None], np.uint8(255), frame.rgb)
+    return Frame(rgb, np.zeros_like(frame.bottle), frame.place, np.where(there, -1, _parts(frame)))
+
+
+def textured(wall: Frames, rng: np.random.Generator) -> Frames:
+    """The wall (height, width, 3) with grain of a random size and strength, grey or coloured."""
+    height, width, colours = wall.shape
+    noise = rng.normal(0, 1, (height, width, int(rng.choice([1, colours]))))
+    grain = np.asarray(cv2.GaussianBlur(noise, (0, 0), rng.uniform(*_GRAIN)), float).reshape(height, width, -1)
+    strength = rng.uniform(0, _STRENGTH) / grain.std()
+    return np.clip(wall + strength * grain, 0, 255).astype(np.uint8)
 
 
 def clutter(rng: np.random.Generator, height: int, width: int) -> Frames:

@@ -80,6 +80,7 @@ class KeypointAutoencoder(nn.Module):
         super().__init__()
         if size % STRIDE:
             raise ProblemError(f"the image size must be a multiple of {STRIDE}, got {size}.")
+        self.architecture = {"size": size, "keypoints": keypoints, "encoder": kind, "filters": filters}
         self.cells = size // STRIDE
         self.encoder = encoder(kind, filters)
         self.head = nn.Conv2d(2 * filters, keypoints, 1)

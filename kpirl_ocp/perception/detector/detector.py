@@ -48,10 +48,11 @@ class KeypointDetector:
         return cls(model.eval(), build["size"], confidence)
 
     def save(self, path: str | Path, card: Mapping[str, Any]) -> Path:
-        """Write weights and card; `card` needs the "architecture": size, keypoints, encoder, filters."""
+        """Write weights and card; architecture and confidence are added to `card`."""
         tensors = {name: value.contiguous().numpy() for name, value in self.model.state_dict().items()}
-        own = {} if self.confidence is None else {"confidence": self.confidence.as_card()}
-        return write_model(Path(path), DETECTOR, tensors, dict(card) | own)
+        sure = {} if self.confidence is None else {"confidence": self.confidence.as_card()}
+        own = {"architecture": self.model.architecture} | sure
+        return write_model(Path(path), DETECTOR, tensors, own | dict(card))
 
     def calibrated(self, clips: Sequence[Frames]) -> KeypointDetector:
         """The detector with an absolute mu, from clips (n, H, W, 3) in which the object is in view and moves about.

@@ -1,14 +1,18 @@
-"""Recordings of the robot as tracks of detected keypoints."""
+"""Recordings of the robot, and films, as tracks of detected keypoints."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from tqdm import tqdm
 
 from kpirl_ocp.episodes import ArmTrack, episode_path, read_meta
 from kpirl_ocp.perception.data.recordings import read_arm_film
 from kpirl_ocp.perception.detector.detector import KeypointDetector
+from kpirl_ocp.perception.detector.keypoints import to_pixels
+from kpirl_ocp.perception.tracking.tracks import Tracks
+from kpirl_ocp.perception.tracking.watch import Film
 
 
 def detect_tracks(detector: KeypointDetector, directory: str | Path) -> list[ArmTrack]:
@@ -33,3 +37,19 @@ def detect_tracks(detector: KeypointDetector, directory: str | Path) -> list[Arm
         )
         for clip in clips
     ]
+
+
+def detector_tracks(film: Film, card: Path) -> Tracks:
+    """Tracks by a trained keypoint detector, which sees the largest square in the middle; mu is the confidence."""
+    detector = KeypointDetector.load(card)
+    times, positions, confidence = [], [], []
+    size = (0, 0)
+    for time, image in tqdm(film.frames(), f"detect in {film.path.name}", unit="frame"):
+        height, width = image.shape[:2]
+        side, size = min(height, width), (width, height)
+        corner = np.array([(width - side) // 2, (height - side) // 2])
+        keypoints = detector.detect(image[None, corner[1] : corner[1] + side, corner[0] : corner[0] + side])[0]
+        times.append(time)
+        positions.append(corner + to_pixels(keypoints, side))
+        confidence.append(keypoints[:, 2])
+    return Tracks(np.array(times), np.array(positions), np.array(confidence), size)
