@@ -12,6 +12,7 @@ export OPENBLAS_NUM_THREADS = 1
 SEED := 0
 MODELS := out/models
 COLLECT = $(BIN)/python scripts/collect_data.py
+IN_HAND = hand-placing hand-placing-1 hand-placing-2
 DYNAMICS = $(BIN)/python scripts/train_dynamics.py --seed $(SEED) --detector $(MODELS)/detector/detector.json
 
 .PHONY: demo paper test study benchmark hands models docs clean
@@ -39,9 +40,14 @@ models: .venv/installed-perception
 		$(COLLECT) $$motion --seed $(SEED)0 --out $(MODELS)/data/$$motion || exit; done
 	for motion in keypoints sines placing hand-placing; do \
 		$(COLLECT) $$motion --seed $(SEED)2 --episodes 24 --out $(MODELS)/test/$$motion || exit; done
-	$(BIN)/python scripts/train_keypoints.py --preset full --threads 1 --seed $(SEED) --out $(MODELS)/detector \
+	for level in 1 2; do \
+		$(COLLECT) hand-placing --surroundings $$level --seed $(SEED)2 --episodes 24 \
+			--out $(MODELS)/test/hand-placing-$$level || exit; done
+	$(BIN)/python scripts/train_keypoints.py --preset full --threads 1 --seed $(SEED) --out $(MODELS)/teacher \
 		--data $(MODELS)/data/keypoints --videos $(MODELS)/data/hand-wandering \
 		--test $(addprefix $(MODELS)/test/,keypoints sines placing hand-placing)
+	$(BIN)/kpirl train-robust --teacher $(MODELS)/teacher/detector.json --threads 1 --seed $(SEED) \
+		--out $(MODELS)/detector --test $(addprefix $(MODELS)/test/,keypoints sines placing $(IN_HAND))
 	for activation in relu tanh; do \
 		$(DYNAMICS) --activation $$activation --out $(MODELS)/reaching-$$activation \
 			--data $(MODELS)/data/sines --test $(MODELS)/test/sines || exit; \
