@@ -1,5 +1,6 @@
 """The derivative of a solution: closed forms, differences of solutions, a dense KKT matrix; and its certificate."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from functools import lru_cache
 
@@ -277,3 +278,16 @@ def test_solutions_know_what_they_were_solved_for_even_if_the_caller_changes_its
     psi[:] = np.nan
     np.testing.assert_array_equal(solution.psi, case.psi)
     np.testing.assert_array_equal(solution.context, seen.context)
+
+
+def test_threads_and_more_problems_than_are_kept_get_the_numbers_of_one_thread():
+    def of_one(number):
+        case = ScalarLQR(psi=(0.3 + 0.01 * number, 1.5, 0.8))
+        problem = lqr(case).problem
+        solution = Riccati().solve(problem, [case.s0], case.psi)
+        return lambda: sensitivity(problem, solution).pull(*slopes(solution)).psi
+
+    products = [of_one(number) for number in range(70) for _ in range(4)]
+    with ThreadPoolExecutor(8) as pool:
+        together = list(pool.map(lambda product: product(), products))
+    np.testing.assert_array_equal(together, [product() for product in products])

@@ -83,7 +83,8 @@ def loss_at(problem: OCP, build: Build, data: Array, x: Array) -> tuple[float, A
     """
     rows, n_w = rows_of(problem), len(x)
     value, slopes, work, given = np.empty(1), np.empty(n_w), np.empty(8 * n_w), np.ascontiguousarray(data, float)
-    sizes = ctypes.addressof(rows.dimensions), ctypes.addressof(rows.structure)
+    kept = rows.dimensions, rows.structure
+    sizes = [ctypes.addressof(part) for part in kept]
     with borrow_core(problem) as core:
         arrays = (array.ctypes.data for array in (given, x, value, slopes, work))
         kink = core.library.kpirl_mpc_kink_of_loss(*sizes, core.function(build), *arrays)

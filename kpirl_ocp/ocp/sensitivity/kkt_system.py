@@ -81,9 +81,9 @@ class Memory:
 
     def __init__(self, problem: OCP) -> None:
         rows = rows_of(problem)
-        self._arrays, self.structure = np.empty(rows.n_memory), c.KKT()
-        self.address = ctypes.addressof(self.structure)
-        given = ctypes.addressof(rows.dimensions), ctypes.addressof(rows.structure)
+        self._arrays, self._rows, self.structure = np.empty(rows.n_memory), rows.structure, c.KKT()
+        self.address, dimensions = ctypes.addressof(self.structure), rows.dimensions
+        given = ctypes.addressof(dimensions), ctypes.addressof(self._rows)
         c.library().kpirl_mpc_kkt_init(self.address, *given, self._arrays.ctypes.data)
 
 

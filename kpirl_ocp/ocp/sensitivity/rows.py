@@ -72,13 +72,14 @@ class Rows:
 
     @cached_property
     def structure(self) -> Any:
-        """The rows for the C code, `kpirl_mpc_rows`."""
+        """The rows for the C code, `kpirl_mpc_rows`. It keeps its arrays; whoever keeps its address has to keep it."""
         rows = c.Rows(n_free=len(self.free), n_bounds=self.n_bounds, n_decisions=len(self.decisions))
-        for name, array in self._arrays.items():
+        arrays = self._arrays()
+        for name, array in arrays.items():
             setattr(rows, name, array.ctypes.data)
+        rows.arrays = arrays
         return rows
 
-    @cached_property
     def _arrays(self) -> dict[str, Any]:
         """Contents of the structure. Random numbers are the same for every problem of a size."""
         n_w, m, bounds = len(self.largest_bound), len(self.inequality), self.bounds
@@ -96,21 +97,22 @@ class Rows:
     @property
     def uniform(self) -> Array:
         """Random numbers in [1/2, 1), as many as the longest array of the problem has."""
-        return self._arrays["uniform"]
+        found: Array = self.structure.arrays["uniform"]
+        return found
 
     def sizes_of(self, x: Array) -> Array:
         """(n_w,) the largest absolute value of each entry of x over the horizon, finite bounds included."""
         sizes, given = np.empty(len(x)), np.ascontiguousarray(x, float)
-        structures = ctypes.addressof(self.dimensions), ctypes.addressof(self.structure)
-        c.library().kpirl_mpc_point_sizes(*structures, given.ctypes.data, sizes.ctypes.data)
+        kept = self.dimensions, self.structure
+        addresses = (ctypes.addressof(part) for part in kept)
+        c.library().kpirl_mpc_point_sizes(*addresses, given.ctypes.data, sizes.ctypes.data)
         return sizes
 
     @cached_property
     def n_memory(self) -> int:
         """Numbers that the C code keeps of a point, `kpirl_mpc_kkt_init`."""
-        empty = c.KKT()
-        given = (ctypes.addressof(x) for x in (empty, self.dimensions, self.structure))
-        return int(c.library().kpirl_mpc_kkt_init(*given, None))
+        kept = c.KKT(), self.dimensions, self.structure
+        return int(c.library().kpirl_mpc_kkt_init(*(ctypes.addressof(part) for part in kept), None))
 
 
 @lru_cache(maxsize=64)
