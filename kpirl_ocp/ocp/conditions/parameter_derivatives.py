@@ -18,6 +18,7 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 
+from kpirl_ocp.ocp.conditions.scalar import scalar
 from kpirl_ocp.ocp.problem.ocp import OCP
 
 Symbol: TypeAlias = "ca.SX | ca.MX"
@@ -109,7 +110,8 @@ def _functions(problem: OCP) -> list[tuple[str, bool]]:
 
 def _weighted(problem: OCP, name: str, last: bool) -> tuple[type[Symbol], list[Symbol], Symbol, int]:
     """Symbols (x, psi, c, d, multipliers ..) of a stage, the value of a function, and which multiplier is its own."""
-    function: ca.Function = getattr(problem, name)
+    (function,) = scalar([getattr(problem, name)])
+    assert function is not None
     kind = ca.SX if function.is_a("SXFunction") else ca.MX
     n_s, n_u = problem.n_states, problem.n_actions
     rows = [problem.n_terminal, problem.n_terminal_equality]

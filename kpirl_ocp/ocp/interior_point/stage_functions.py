@@ -18,6 +18,7 @@ from functools import lru_cache
 
 import casadi as ca
 
+from kpirl_ocp.ocp.conditions.scalar import scalar
 from kpirl_ocp.ocp.problem.ocp import OCP
 
 Levels = tuple[ca.Function, ca.Function, ca.Function]
@@ -26,7 +27,6 @@ Levels = tuple[ca.Function, ca.Function, ca.Function]
 _INPUTS = ("x", "psi", "context", "schedule", "costates", "z", "nu")
 _OUTPUTS = ("cost", "successor", "path", "equality"), ("cost_gradient", "gradient"), ("F", "G", "E", "H")
 _OF_DYNAMICS = ("costates", "successor", "F")  # which the end does not have
-_EXPANDED = 20_000  # nodes of a graph of matrices that is written out in scalars, at most
 _SHARED = 3_000  # operations to look for common subexpressions among, at most: it takes longer than a solve
 
 
@@ -47,12 +47,12 @@ class StageFunctions:
 def stage_functions(problem: OCP) -> StageFunctions:
     """Of a problem, by AD; in scalar operations where the problem can be written out in them."""
     parts = [problem.dynamics, problem.stage_cost, problem.path_constraint, problem.path_equality]
-    return StageFunctions(_stage(problem, *_scalar(parts)), last_functions(problem))
+    return StageFunctions(_stage(problem, *scalar(parts)), last_functions(problem))
 
 
 def last_functions(problem: OCP) -> Levels:
     """Those of the end."""
-    return _last(problem, *_scalar([problem.terminal_cost, problem.terminal_inequality, problem.terminal_equality]))
+    return _last(problem, *scalar([problem.terminal_cost, problem.terminal_inequality, problem.terminal_equality]))
 
 
 def constraint_functions(problem: OCP) -> Levels:
@@ -66,7 +66,7 @@ def local_functions(problem: OCP) -> Levels:
 
 
 def _without_dynamics(problem: OCP, cost: ca.Function | None) -> Levels:
-    cost, path, equality = _scalar([cost, problem.path_constraint, problem.path_equality])
+    cost, path, equality = scalar([cost, problem.path_constraint, problem.path_equality])
     kind = _kind([cost, path, equality])
     n_s = problem.n_states
     x, numbers = kind.sym("x", n_s + problem.n_actions), _numbers(kind, problem)
@@ -74,26 +74,6 @@ def _without_dynamics(problem: OCP, cost: ca.Function | None) -> Levels:
     rows = [kind(0, 1) if g is None else ca.densify(g(*point)) for g in (path, equality)]
     value = kind.zeros(1) if cost is None else ca.densify(cost(*point))
     return _levels(kind, "rows", x, numbers, [value, *rows], constraints=2)
-
-
-def _scalar(functions: list[ca.Function | None]) -> list[ca.Function | None]:
-    """All in scalar operations, or none of them."""
-    try:
-        return [function if function is None else _expand(function) for function in functions]
-    except (RuntimeError, _TooLarge):
-        return functions
-
-
-class _TooLarge(Exception):
-    """A graph of matrices with too many nodes to be written out in scalars."""
-
-
-def _expand(function: ca.Function) -> ca.Function:
-    if function.is_a("SXFunction"):
-        return function
-    if function.n_nodes() > _EXPANDED:
-        raise _TooLarge
-    return function.expand()
 
 
 def _kind(functions: list[ca.Function | None]) -> type[ca.SX] | type[ca.MX]:
