@@ -1,4 +1,4 @@
-"""Functions written out in scalar operations, which CasADi's virtual machine evaluates much faster than small matrices."""
+"""Functions written out in scalar operations: CasADi evaluates them much faster than small matrices."""
 
 from __future__ import annotations
 
