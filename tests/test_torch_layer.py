@@ -1,6 +1,7 @@
 """An OCP as a layer in PyTorch: trajectories of the solver, gradients that gradcheck believes, nothing silent."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -212,10 +213,12 @@ def test_a_network_upstream_learns_what_the_cost_depends_on():
 
 
 def test_the_published_imitation_task_is_solved():
-    """A short one; all 20 starts with 32 demonstrations of 100 steps take some minutes."""
+    """From the first two of the 20 starts; all of them take some minutes."""
     script = Path(__file__).parents[1] / "scripts" / "imitate_expert.py"
-    arguments = [sys.executable, script, "--starts", "2", "--demonstrations", "4", "--horizon", "20"]
     environment = os.environ | {"PYTHONPATH": str(script.parents[1])}
-    ran = subprocess.run(arguments, capture_output=True, text=True, check=False, env=environment)
+    command = [sys.executable, script, "--starts", "2"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert ran.returncode == 0, ran.stderr
-    assert "found from every start: True" in ran.stdout
+    errors = [float(error) for error in re.findall(r"error of the weights ([\d.e+-]+)", ran.stdout)]
+    assert len(errors) == 2
+    assert max(errors) < 1e-3
