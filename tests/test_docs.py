@@ -62,17 +62,31 @@ def test_every_page_is_in_the_navigation():
         assert path.relative_to(ROOT / "docs").as_posix() in navigation
 
 
-def test_the_pages_build_without_a_warning(tmp_path):
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The pages as `make docs` builds them, without a warning."""
     for package in ("mkdocs", "material", "mkdocstrings"):
         pytest.importorskip(package)
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
+    folder = tmp_path_factory.mktemp("pages") / "site"
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
     built = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, env=environment)
     assert built.returncode == 0, built.stderr
     assert "WARNING" not in built.stderr
-    reference = (tmp_path / "site" / "reference" / "problems.html").read_text()
+    return folder
+
+
+def test_the_pages_build_without_a_warning(site):
+    reference = (site / "reference" / "problems.html").read_text()
     assert "from_expressions" in reference
     assert "schedule" in reference
+
+
+def test_pages_load_nothing_from_elsewhere_so_that_they_and_their_search_work_as_files(site):
+    for page in site.rglob("*.html"):
+        elsewhere = r"<(?:script|img|iframe)[^>]*src=\"https?:|<link[^>]*stylesheet[^>]*href=\"https?:"
+        assert not re.findall(elsewhere, page.read_text()), page
+    assert (site / "search" / "search_index.js").exists()
 
 
 def test_the_readme_is_short():
