@@ -11,6 +11,7 @@ import numpy as np
 from kpirl_ocp.cli.imitation.arm import BOTTLE_LENGTH, Arm, Scale, arm_for, other_starts
 from kpirl_ocp.cli.imitation.drawing import draw_learning, draw_paths, side_by_side
 from kpirl_ocp.cli.imitation.execution import Executed, execute
+from kpirl_ocp.cli.imitation.learned_dynamics import imitate
 from kpirl_ocp.errors import DemonstrationError, OptionError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.visual.camera_learning import camera_demonstration, check_reach, learn_in_image
@@ -28,12 +29,15 @@ _SHOWN = 8  # frames of the contact sheet
 
 def main(args: Namespace) -> int:
     """Watch, learn, plan, execute; 1 if an execution stays more than a tenth of the way from the demonstration."""
+    _check(args)
     film = Film(args.film, args.source_rate if args.film.is_dir() else None, args.start, args.end or np.inf)
     tracks, length = _watch(args, film)
     print(f"sheet:   {track_sheet(args.out / 'tracks.png', film.frames(), tracks, evenly(_SHOWN, len(tracks.times)))}")
     print(f"tracks:  {track_film(args.out / 'tracks.mp4', film.frames(), tracks)}")
     _admit(args.out, film, tracks)
     shown, part = _part(film, tracks)
+    if args.dynamics:
+        return imitate(args, part)
     steps = part.at_rate(args.steps / float(part.times[-1]))
     scale = Scale(args.scale, args.object_size or BOTTLE_LENGTH, length)
     arm, way = arm_for(args.robot, args.flange, steps.positions, scale)
@@ -45,6 +49,17 @@ def main(args: Namespace) -> int:
     if args.export:
         print(f"C:       {_export(args.out / 'c', learned, arm)}")
     return 0 if all(run.reached < 0.1 for run in runs) else 1
+
+
+def _check(args: Namespace) -> None:
+    """Raise OptionError for options that do not go together."""
+    if args.dynamics and not args.detector:
+        raise OptionError("--dynamics: needs --detector, the one through which the dynamics were learned")
+    if args.recording and not args.dynamics:
+        raise OptionError("--recording: needs --dynamics, learned from such recordings")
+    if args.dynamics and (args.cost or (args.robot != "iiwa" and not args.recording)):
+        given = "--cost" if args.cost else "--robot"
+        raise OptionError(f"{given}: not with --dynamics, whose arm is that of --recording, or the iiwa in the scene")
 
 
 def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:

@@ -106,7 +106,7 @@ def learn_in_image(
     cost = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
     psi0 = cost.initial(horizon, n_z, np.ones((horizon, n_z)))
     problem = setting.problem(robot, cost, horizon)
-    result = _learn_on(problem, demonstration, psi0, iterations)
+    result = learn_on(problem, demonstration, psi0, iterations)
     start = demonstration.s0[n_z : n_z + robot.n_joints]
     way = demonstration.observations[-1] - demonstration.observations[0]
     learned = LearnedCost(cost, result.psi, horizon, _SOLVER, setting, start, way, rate)
@@ -114,8 +114,13 @@ def learn_in_image(
     return CameraLearning(learned, result, path_distance(plan.states[:, :n_z], demonstration.observations))
 
 
-def _learn_on(problem: OCP, demonstration: Demonstration, psi0: Array, iterations: int) -> LearningResult:
-    """Learn, and begin again with a new memory where L-BFGS gets stuck, as long as that helps."""
+def learn_on(problem: OCP, demonstration: Demonstration, psi0: Array, iterations: int) -> LearningResult:
+    """Learn with the implicit gradient, and begin again with a new memory where L-BFGS gets stuck, if that helps.
+
+    psi0: (n_psi,). iterations: in all.
+
+    Raises CertificateError if a gradient cannot be certified.
+    """
     result = learn(problem, [demonstration], psi0, Implicit(_SOLVER), LBFGS(), iterations)
     while (left := iterations + 1 - len(result.losses)) > 0:
         more = learn(problem, [demonstration], result.psi, Implicit(_SOLVER), LBFGS(), left)

@@ -1,0 +1,179 @@
+"""Imitation with learned dynamics: one detector sees the person and the arm, and a network says how its keypoints move.
+
+The arm is that of a recording (the dynamics were learned from such), for which a plan is written; without a recording
+it is the iiwa of the scene, which also does it: plan, move, look, plan again.
+"""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kpirl_ocp import figures
+from kpirl_ocp.episodes import KeypointTrack, stored, write_episode
+from kpirl_ocp.errors import OptionError
+from kpirl_ocp.irl.cases.planar_arm import planar_dynamics
+from kpirl_ocp.irl.learning.learn import LearningResult
+from kpirl_ocp.irl.visual.camera_learning import learn_on, path_distance
+from kpirl_ocp.irl.visual.closed_loop import KeypointController
+from kpirl_ocp.irl.visual.demonstrations import positions, transferred_demonstration
+from kpirl_ocp.irl.visual.learning import CONVERGED
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost
+from kpirl_ocp.ocp.export.folder import export_c
+from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
+from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, TimeDependent
+from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.perception.data.recordings import read_arm_film
+from kpirl_ocp.perception.detector.detector import KeypointDetector
+from kpirl_ocp.perception.detector.track_images import keypoint_paths
+from kpirl_ocp.perception.plant.camera_plant import CameraPlant
+from kpirl_ocp.perception.plant.starts import placing_starts
+from kpirl_ocp.perception.scene.scene import Scene
+from kpirl_ocp.perception.tracking.tracks import Tracks
+from kpirl_ocp.reporting import table, write_metrics
+from kpirl_ocp.types import Array, Demonstration, Solution
+
+_SIDE = 240  # of the pictures in which paths are drawn [pixels]
+
+
+@dataclass(frozen=True, eq=False)
+class SeenArm:
+    """An arm at rest as the detector sees it: keypoints (K, 3) and joints (n_joints,) [rad]."""
+
+    keypoints: Array
+    joints: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """A learned cost: the problem with its parameters free, the cost that is planned with, and how it was learned."""
+
+    problem: OCP
+    planning: PlanningCost
+    history: LearningResult
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A plan of T steps as a file: keypoints (T+1, K, 2) [half an image], joints (T+1, n_joints) and actions [rad]."""
+
+    keypoints: Array = stored("observation.keypoints", np.float64, "T+1", "K", 2)
+    joints: Array = stored("observation.state", np.float64, "T+1", "n_joints")
+    actions: Array = stored("action", np.float64, "T", "n_joints")
+    times: Array = stored("timestamp", np.float64, "T+1")
+
+
+def imitate(args: Namespace, tracks: Tracks) -> int:
+    """Learn, plan and, in the scene, execute; 1 if the path stays more than a tenth of the way from the demonstration.
+
+    Raises:
+        ProblemError: person and arm have different numbers of keypoints.
+        SolveError: there is no plan from a start.
+    """
+    detector = KeypointDetector.load(args.detector)
+    dynamics = load_dynamics(args.dynamics) if args.recording else planar_dynamics(args.dynamics)
+    person = in_half_images(tracks, args.steps, 1.0 if args.scale is None else args.scale)
+    arms = [_recorded(detector, args.recording)] if args.recording else _in_scene(detector, person, args)
+    demonstrations = [transferred_demonstration(dynamics, person, arm.keypoints, arm.joints) for arm in arms]
+    learned = _learn(dynamics, demonstrations[0], args.iterations)
+    controller = KeypointController.build(dynamics, learned.planning)
+    plans = [controller.plan(demo.s0, demo.context).raise_if_failed() for demo in demonstrations]
+    paths = [plan.states[:, : dynamics.n_z] for plan in plans]
+    seen = [] if args.recording else arms
+    done = [_execute(detector, controller, arm, demo) for arm, demo in zip(seen, demonstrations, strict=False)]
+    planned, executed = (list(map(_distance, ways, demonstrations)) for ways in (paths, done))
+    write_episode(args.out / "plan.npz", _as_file(plans[0], dynamics))
+    print(f"plan:    {args.out / 'plan.npz'}")
+    print(f"figure:  {_draw(args.out / 'paths.png', demonstrations, done or paths)}")
+    _report(args, learned, planned, executed)
+    if args.export:
+        start, psi = demonstrations[0], learned.history.psi
+        folder = export_c(learned.problem, CONVERGED, args.out / "c", psi=psi, examples=[(start.s0, start.context)])
+        print(f"C:       {folder}")
+    return 0 if all(distance < 0.1 for distance in executed or planned) else 1
+
+
+def _learn(dynamics: NetworkDynamics, demonstration: Demonstration, iterations: int) -> Learned:
+    """Time-dependent weights and one effort weight."""
+    horizon = len(demonstration.observations) - 1
+    cost = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
+    problem = network_ocp(dynamics, cost, horizon)
+    psi0 = cost.initial(horizon, dynamics.n_z, np.full((horizon, dynamics.n_z), 10.0))
+    result = learn_on(problem, demonstration, psi0, iterations)
+    return Learned(problem, PlanningCost.of(cost, result.psi, horizon, dynamics.n_z, CONVERGED), result)
+
+
+def _distance(path: Array, demonstration: Demonstration) -> float:
+    return path_distance(path, demonstration.observations)
+
+
+def _rate(dynamics: NetworkDynamics) -> float:
+    """[Hz] of the steps."""
+    if dynamics.rate is None:
+        raise OptionError("--dynamics: the card does not say the rate of its steps")
+    return dynamics.rate
+
+
+def in_half_images(tracks: Tracks, steps: int, scale: float) -> KeypointTrack:
+    """The tracks at steps + 1 times in units of the detector: the largest square in the middle is 2 wide.
+
+    scale: of the displacements.
+    """
+    part = tracks.at_rate(steps / float(tracks.times[-1]))
+    width, height = part.size
+    places = (part.positions - np.array([width, height]) / 2) / (min(width, height) / 2)
+    places = places[0] + scale * (places - places[0])
+    return KeypointTrack(np.concatenate([places, part.confidence[..., None]], axis=-1), part.times)
+
+
+def _recorded(detector: KeypointDetector, path: Path) -> SeenArm:
+    """The arm in the first frame of a recording."""
+    film = read_arm_film(path)
+    return SeenArm(detector.detect(film.images[:1])[0], film.joints[0])
+
+
+def _in_scene(detector: KeypointDetector, person: KeypointTrack, args: Namespace) -> list[SeenArm]:
+    """The iiwa where the person began, and its other starts near there."""
+    places = (person.keypoints[..., :2].mean(axis=1) + 1) / 2 * _SIDE
+    rng = np.random.default_rng([args.seed, 7])
+    starts = [placing_starts(detector, places, rng) for _ in range(args.starts)]
+    return [SeenArm(start.keypoints, start.joints[0]) for start in starts]
+
+
+def _execute(detector: KeypointDetector, controller: KeypointController, arm: SeenArm, demo: Demonstration) -> Array:
+    """The path (T+1, n_z) of the keypoints that the arm in the scene comes through."""
+    with Scene(rate=round(_rate(controller.dynamics))) as scene:
+        scene.reset(arm.joints)
+        return positions(controller.run(CameraPlant(scene, detector), demo.context).keypoints)
+
+
+def _as_file(plan: Solution, dynamics: NetworkDynamics) -> Plan:
+    n_z, n_q = dynamics.n_z, dynamics.n_joints
+    return Plan(
+        keypoints=plan.states[:, :n_z].reshape(len(plan.states), -1, 2),
+        joints=plan.states[:, n_z : n_z + n_q],
+        actions=plan.actions,
+        times=np.arange(len(plan.states)) / _rate(dynamics),
+    )
+
+
+def _draw(path: Path, demonstrations: list[Demonstration], paths: list[Array]) -> Path:
+    """The demonstrated paths and those of the arm, one panel per start."""
+    figure, axes = figures.new_figure(1, len(paths), height=4.0)
+    for axis, demo, done in zip(np.atleast_1d(axes), demonstrations, paths, strict=True):
+        keypoint_paths(axis, demo.observations, done, _SIDE)
+    return figures.save(figure, path)
+
+
+def _report(args: Namespace, learned: Learned, planned: list[float], executed: list[float]) -> None:
+    rows = [[f"start {i + 1}", far, executed[i] if executed else "-"] for i, far in enumerate(planned)]
+    print(f"\nIRL {learned.history}\n")
+    print(table(["relative distance to the path", "planned", "executed"], rows) + "\n")
+    results = {"planned": planned, "executed": executed, "losses": learned.history.losses}
+    results |= {"weights": learned.planning.weights, "efforts": learned.planning.efforts}
+    print(f"numbers: {write_metrics(args.out, vars(args), results)}")

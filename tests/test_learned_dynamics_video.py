@@ -1,0 +1,86 @@
+"""`kpirl learn-video --dynamics`: person and arm seen by one detector, and a network that says how keypoints move."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("av")
+pytest.importorskip("cv2")
+pytest.importorskip("pybullet")
+pytest.importorskip("torch")
+
+from kpirl_ocp.assets import shipped_model
+from kpirl_ocp.cli.imitation.learned_dynamics import Plan, in_half_images
+from kpirl_ocp.cli.main import run
+from kpirl_ocp.episodes import read_episode
+from kpirl_ocp.perception.data.encoding import write_video
+from kpirl_ocp.perception.data.motions import Placing
+from kpirl_ocp.perception.data.recordings import ArmRecording
+from kpirl_ocp.perception.scene.hand import HandScene, placing_path
+from kpirl_ocp.perception.tracking.tracks import Tracks
+
+MODELS = [f"--{name}={shipped_model(model)}" for name, model in (("detector", "detector"), ("dynamics", "placing"))]
+
+
+@pytest.fixture(scope="module")
+def placing(tmp_path_factory):
+    """A person places the bottle."""
+    with HandScene() as scene:
+        frames = scene.film(placing_path(np.random.default_rng(0), rate=10))
+    return write_video(tmp_path_factory.mktemp("film") / "placing.mp4", frames, 10, codec="h264")
+
+
+def test_half_images_are_those_of_the_square_in_the_middle_and_displacements_are_scaled():
+    positions = np.array([[[320.0, 180.0]], [[380.0, 120.0]], [[500.0, 180.0]]])
+    tracks = Tracks(np.array([0.0, 0.5, 1.0]), positions, np.full((3, 1), 0.8), (640, 360))
+    found = in_half_images(tracks, 2, 0.5)
+    np.testing.assert_allclose(found.keypoints[:, 0], [[0, 0, 0.8], [1 / 6, -1 / 6, 0.8], [0.5, 0, 0.8]])
+    np.testing.assert_allclose(found.times, [0, 0.5, 1])
+
+
+def test_an_arm_repeats_a_film_with_dynamics_that_were_learned(placing, tmp_path, capsys):
+    words = [*MODELS, "--steps", "10", "--starts", "1", "--iterations", "60", "--export", "--out", str(tmp_path)]
+    assert run(["learn-video", str(placing), *words]) == 0, capsys.readouterr()
+    results = json.loads((tmp_path / "metrics.json").read_text())["results"]
+    assert results["planned"][0] < 0.1
+    assert results["executed"][0] < 0.1
+    assert np.shape(results["weights"]) == (10, 8)
+    assert (tmp_path / "c" / "Makefile").exists()
+    assert (tmp_path / "paths.png").stat().st_size > 0
+
+
+def test_a_plan_begins_where_a_recording_of_the_arm_does(placing, tmp_path):
+    recording = Placing(steps=1).record(np.random.default_rng(3))
+    path = tmp_path / "arm.npz"
+    np.savez(
+        path,
+        **{
+            "observation.images.camera": recording.images,
+            "observation.state": recording.joints,
+            "action": recording.actions,
+            "timestamp": recording.times,
+        },
+    )
+    words = [*MODELS, "--recording", str(path), "--steps", "10", "--iterations", "3", "--out", str(tmp_path)]
+    assert run(["learn-video", str(placing), *words]) in (0, 1)
+    plan = read_episode(tmp_path / "plan.npz", Plan)
+    assert isinstance(recording, ArmRecording)
+    np.testing.assert_allclose(plan.joints[0], recording.joints[0], atol=1e-12)
+    np.testing.assert_allclose(np.diff(plan.joints, axis=0), plan.actions, atol=1e-9)
+    assert plan.keypoints.shape == (11, 4, 2)
+    assert not json.loads((tmp_path / "metrics.json").read_text())["results"]["executed"]  # it has no scene
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([MODELS[1]], "--dynamics: needs --detector"),
+        (["--recording", __file__], "--recording: needs --dynamics"),
+        ([*MODELS, "--cost", __file__], "--cost: not with --dynamics"),
+        ([*MODELS, "--robot", "ur5"], "--robot: not with --dynamics"),
+    ],
+)
+def test_options_that_do_not_go_together_are_named(words, message, tmp_path, capsys):
+    assert run(["learn-video", "film.mp4", *words, "--out", str(tmp_path)]) == 2
+    assert message in capsys.readouterr().err
