@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from problems import TABLE
-from statements import CASES, GRID, NUMBERS, TWO, D, S, T, U, optimum, state
+from statements import CASES, GRID, NUMBERS, TWO, D, S, T, U, state
+from statements_opti import optimum
 
 from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Riccati, Soft, Status
 from kpirl_ocp.errors import ProblemError
