@@ -133,3 +133,25 @@ def test_lifted_steps_converge_from_states_that_do_not_follow_the_dynamics():
     found = Riccati().solve(problem, [0.0, 0.0], guess=wild)
     assert found.status is Status.CONVERGED
     assert found.objective == pytest.approx(cold.objective, rel=1e-6)
+
+
+@pytest.mark.parametrize("change", [(0, 1e-4), (0, -1e-4), (2e-4, 0), (0, 2e-4)])
+def test_rounding_of_constraints_keeps_no_warm_start_that_only_needs_multipliers(change):
+    """The equality leaves nothing to decide: only multipliers are to be found."""
+    s, u, p = ca.MX.sym("s", 2), ca.MX.sym("u"), ca.MX.sym("p", 2)
+    speed = s[1] + 0.2 * (u - ca.sin(s[0]))
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        parameters=p,
+        horizon=12,
+        dynamics=ca.vertcat(s[0] + 0.2 * speed, speed),
+        stage_cost=(s[0] - 1) ** 2 + 0.1 * s[1] ** 2 + p[0] * u**2,
+        terminal_cost=3 * (s[0] - 1) ** 2,
+        path_equality=u + 2 * p[1] * s[1] - 0.3 * ca.cos(s[0]),
+    )
+    solver, psi = Riccati(barrier=1e-4), np.array([0.05, 0.4])
+    guess = solver.solve(problem, [0, 0], psi).raise_if_failed()
+    found = solver.solve(problem, [0, 0], psi + change, guess=guess)
+    assert found.status is Status.CONVERGED
+    assert found.iterations <= 5

@@ -87,6 +87,7 @@ Iteration = _structure(
     "Iteration",
     iteration=INT,
     trials=INT,
+    restoring=INT,
     objective=REAL,
     infeasibility=REAL,
     dual_infeasibility=REAL,

@@ -94,11 +94,12 @@ _HEADER = "iter   objective      inf_pr   inf_du   compl    lg(tau) ||d||    lg(
 
 @c.LOG
 def _print(_: int, line: Any) -> None:
-    """One iteration, in the columns of Ipopt's log."""
+    """One iteration, in the columns of Ipopt's log; "r" marks feasibility restoration."""
     it = line.contents
     regularisation = f"{np.log10(it.regularisation):6.1f}" if it.regularisation > 0 else "     -"
     print(
-        f"{it.iteration + 1:4d} {it.objective:14.7e} {it.infeasibility:8.2e} {it.dual_infeasibility:8.2e} "
+        f"{it.iteration + 1:4d}{'r' if it.restoring else ' '}{it.objective:14.7e} "
+        f"{it.infeasibility:8.2e} {it.dual_infeasibility:8.2e} "
         f"{it.complementarity:8.2e} {np.log10(it.tau) if it.tau > 0 else -np.inf:6.1f} {it.step:8.2e} {regularisation} "
         f"{it.dual_length:8.2e} {it.primal_length:8.2e} {it.trials:3d}",
         file=sys.stderr,

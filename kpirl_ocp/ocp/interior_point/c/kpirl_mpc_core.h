@@ -49,13 +49,14 @@ typedef struct kpirl_mpc_derivatives {
 typedef struct kpirl_mpc_step {
   kpirl_mpc_iterate change;
   real tau, share, primal_length, dual_length, regularisation; /* share: fraction to the boundary of slacks */
+  real penalty_slope; /* of elastic constraints */
   int positive; /* is the Hessian along the dynamics? */
 } kpirl_mpc_step;
 
 /* Pairs (theta, phi) of violation and objective that no later iterate may be worse than in both. */
 enum { KPIRL_MPC_FILTER_SIZE = 64 };
 typedef struct kpirl_mpc_filter {
-  real largest, small, feasible; /* theta above which nothing is accepted, below which the objective may decide, and does */
+  real largest, small, feasible; /* theta above which nothing is accepted, below which the objective may decide, rounding decides */
   real theta[KPIRL_MPC_FILTER_SIZE], phi[KPIRL_MPC_FILTER_SIZE];
   int count;
 } kpirl_mpc_filter;
@@ -66,7 +67,7 @@ typedef struct kpirl_mpc_merit {
 
 /* A line of the log. */
 typedef struct kpirl_mpc_iteration {
-  int iteration, trials;
+  int iteration, trials, restoring; /* restoring: is this feasibility restoration? */
   real objective, infeasibility, dual_infeasibility, complementarity, tau, step, regularisation, primal_length, dual_length;
 } kpirl_mpc_iteration;
 
@@ -101,12 +102,14 @@ typedef struct kpirl_mpc_core {
   kpirl_mpc_filter filter;
   real *M;              /* the condensed Hessian of a stage (n_x, n_x) */
   real *weights, *force; /* of inequalities */
+  real *stiffness;      /* of equalities */
   real *target;         /* of y z (m) */
   real *right, *start;  /* right-hand side (n_w), and of s_0 (n_s) */
   real *K;              /* feedback (n_u, n_s) of a stage */
   real *scratch;
   real *nonzeros;       /* of a function's result */
   real *states, *actions; /* gathered for functions of the whole horizon */
+  real penalty; /* rho of elastic mode, see kpirl_mpc_elastic.c; 0 otherwise */
   real tau, indefinite_tau; /* the latter: tau to go back to where the Hessian is not positive */
   real start_tau, most_violation, most_gradient; /* tau at the beginning; the largest violation and gradient since */
   real tolerance, regularisation, best; /* best: the smallest residual so far */
@@ -202,6 +205,9 @@ void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, re
 /* derivatives */
 void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level);
 void kpirl_mpc_find_residuals(const kpirl_mpc_core *core, real tau, kpirl_mpc_residuals *residuals);
+/* of all constraints, elastic ones too */
+real kpirl_mpc_largest_violation(const kpirl_mpc_core *core);
+int kpirl_mpc_subproblem_solved(const kpirl_mpc_core *core); /* for core->tau, as far as tau is to fall */
 
 /* newton */
 /* delta: of equalities, see kpirl_mpc_newton.c. Its inverse is added to numbers of size one, so that it has to leave some digits
@@ -221,22 +227,38 @@ void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least, real most);
 void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit);
 real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length);
 void kpirl_mpc_centre(kpirl_mpc_core *core);
+real kpirl_mpc_hard_log_sum(const kpirl_mpc_core *core, const real *y);
 
 /* curvature: the step becomes such a direction; returns whether there is one */
 int kpirl_mpc_negative_curvature(kpirl_mpc_core *core);
 
 /* line search: `least` is the tau to stop at. Each returns whether it moved, or found a step. */
 int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation);
+int kpirl_mpc_newton_iterate(kpirl_mpc_core *core);
 int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least);
 int kpirl_mpc_escape(kpirl_mpc_core *core);
 /* Go to the trial point; `level` says how much to find out about it. */
 void kpirl_mpc_arrive(kpirl_mpc_core *core, int level);
 
-/* feasibility: is the iterate infeasible, and does no step within reach change that? */
-int kpirl_mpc_locally_infeasible(kpirl_mpc_core *core);
+/* elastic: is an inequality replaced by its penalty? The penalty at values of g and c; slacks and multipliers at an iterate;
+ * what the step does to it; the end of it. */
+int kpirl_mpc_is_elastic(const kpirl_mpc_core *core, int row);
+real kpirl_mpc_penalty(const kpirl_mpc_core *core, const real *g, const real *c);
+void kpirl_mpc_relax(kpirl_mpc_core *core);
+void kpirl_mpc_let_go(kpirl_mpc_core *core);
+void kpirl_mpc_harden(kpirl_mpc_core *core);
+
+/* restoration: is most of the violation gone, so that the method proper can go on from these slacks? Shown infeasible: stationary
+ * for the violation */
+typedef enum { KPIRL_MPC_NOT_RESTORED, KPIRL_MPC_RESTORED, KPIRL_MPC_SHOWN_INFEASIBLE } kpirl_mpc_restoration;
+kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core);
+
+/* one solve: is the time over? A line of the log */
+int kpirl_mpc_core_late(const kpirl_mpc_core *core);
+void kpirl_mpc_log_iteration(const kpirl_mpc_core *core);
 
 /* filter */
-void kpirl_mpc_start_filter(kpirl_mpc_filter *filter, real theta);
+void kpirl_mpc_start_filter(kpirl_mpc_core *core);
 int kpirl_mpc_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, kpirl_mpc_merit trial);
 
 #endif

@@ -6,6 +6,8 @@
 
 #include <string.h>
 
+static const real SUBPROBLEM = 10; /* a barrier problem is solved when residuals are below so many tau */
+
 /* The largest of the gradient of the objective, the costates, the multipliers of h and e, and 1. */
 static real scale_of(const kpirl_mpc_core *core) {
   const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
@@ -22,9 +24,10 @@ static real violation_of(const kpirl_mpc_core *core) {
   const kpirl_mpc_derivatives *d = &core->d;
   const int n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
   real sum = kpirl_mpc_absolute_sum(d->defects, DIM(core, horizon) * n_s) + kpirl_mpc_absolute_sum(d->gap, n_s) +
-             kpirl_mpc_absolute_sum(d->c, kpirl_mpc_n_equalities(core));
+             (core->penalty > 0 ? 0 : kpirl_mpc_absolute_sum(d->c, kpirl_mpc_n_equalities(core)));
   int i;
-  for (i = 0; i < m; ++i) sum += kpirl_mpc_abs(d->g[i] + core->at.y[i]);
+  for (i = 0; i < m; ++i)
+    if (!kpirl_mpc_is_elastic(core, i)) sum += kpirl_mpc_abs(d->g[i] + core->at.y[i]);
   return sum;
 }
 
@@ -63,21 +66,40 @@ void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level) {
   d->violation = violation_of(core);
 }
 
-void kpirl_mpc_find_residuals(const kpirl_mpc_core *core, real tau, kpirl_mpc_residuals *residuals) {
+/* The largest violation of a constraint; `elastic`: of one that is elastic, too. NaN where there is one. */
+static real largest_violation(const kpirl_mpc_core *core, int elastic) {
   const kpirl_mpc_derivatives *d = &core->d;
   const int n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
-  real parts[4] = {0, 0, 0, 0}, complementarity = 0;
+  real parts[4] = {0, 0, 0, 0};
   int i;
   parts[0] = kpirl_mpc_largest(d->defects, DIM(core, horizon) * n_s);
   parts[1] = kpirl_mpc_largest(d->gap, n_s);
-  parts[2] = kpirl_mpc_largest(d->c, kpirl_mpc_n_equalities(core));
+  if (elastic || core->penalty <= 0) parts[2] = kpirl_mpc_largest(d->c, kpirl_mpc_n_equalities(core));
+  for (i = 0; i < m; ++i)
+    if ((elastic || !kpirl_mpc_is_elastic(core, i)) && !(d->g[i] <= parts[3]) && !isnan(parts[3])) parts[3] = d->g[i];
+  return kpirl_mpc_largest(parts, 4);
+}
+
+real kpirl_mpc_largest_violation(const kpirl_mpc_core *core) { return largest_violation(core, 1); }
+
+void kpirl_mpc_find_residuals(const kpirl_mpc_core *core, real tau, kpirl_mpc_residuals *residuals) {
+  const kpirl_mpc_derivatives *d = &core->d;
+  const int m = kpirl_mpc_n_inequalities(core);
+  real complementarity = 0;
+  int i;
   for (i = 0; i < m; ++i) {
     const real product = kpirl_mpc_abs(-d->g[i] * core->at.z[i] - tau);
-    if (!(product <= complementarity) && !isnan(complementarity)) complementarity = product;
-    if (!(d->g[i] <= parts[3]) && !isnan(parts[3])) parts[3] = d->g[i];
+    if (!kpirl_mpc_is_elastic(core, i) && !(product <= complementarity) && !isnan(complementarity)) complementarity = product;
   }
   residuals->stationarity = kpirl_mpc_largest(d->gradient, kpirl_mpc_n_point(core));
-  residuals->feasibility = kpirl_mpc_largest(parts, 4);
+  residuals->feasibility = largest_violation(core, 0);
   residuals->complementarity = complementarity;
   residuals->scale = d->scale;
+}
+
+int kpirl_mpc_subproblem_solved(const kpirl_mpc_core *core) {
+  const real small = SUBPROBLEM * core->tau;
+  kpirl_mpc_residuals residuals;
+  kpirl_mpc_find_residuals(core, core->tau, &residuals);
+  return residuals.stationarity <= small && residuals.feasibility <= small && residuals.complementarity <= small;
 }

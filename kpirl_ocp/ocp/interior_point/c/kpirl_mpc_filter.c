@@ -8,10 +8,13 @@
 static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
 static const real VIOLATION = (real)1e-5, OBJECTIVE = (real)1e-8, ARMIJO = (real)1e-4; /* sufficient decreases */
 
-void kpirl_mpc_start_filter(kpirl_mpc_filter *filter, real theta) {
+void kpirl_mpc_start_filter(kpirl_mpc_core *core) {
+  kpirl_mpc_filter *filter = &core->filter;
+  const real theta = core->d.violation;
+  const int n_w = kpirl_mpc_n_point(core);
   filter->largest = (real)1e4 * kpirl_mpc_larger(1, theta);
   filter->small = (real)1e-4 * kpirl_mpc_larger(1, theta);
-  filter->feasible = 100 * KPIRL_MPC_EPSILON;
+  filter->feasible = ROUNDING * ((real)n_w + kpirl_mpc_absolute_sum(core->at.x, n_w));
   filter->count = 0;
 }
 
@@ -40,7 +43,7 @@ int kpirl_mpc_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slo
   int i;
   if (!isfinite(trial.theta) || !isfinite(trial.phi) || trial.theta > filter->largest) return 0;
   for (i = 0; i < filter->count; ++i)
-    if (trial.theta >= filter->theta[i] && trial.phi - tolerated > filter->phi[i]) return 0;
+    if (trial.theta - filter->feasible >= filter->theta[i] && trial.phi - tolerated > filter->phi[i]) return 0;
   if (before.theta <= filter->feasible || (slope < 0 && before.theta <= filter->small &&
       length * kpirl_mpc_power(-slope, (real)2.3) > kpirl_mpc_power(before.theta, (real)1.1)))
     return trial.phi <= before.phi + ARMIJO * length * kpirl_mpc_smaller(slope, 0) + tolerated;

@@ -12,6 +12,7 @@ static const real START = (real)0.1;       /* tau of a cold start, see start_tau
 static const real WARM = (real)1e-3;      /* largest tau of a warm start */
 static const real ROUNDING = 500 * KPIRL_MPC_EPSILON; /* of slack * multiplier, relative to `largest_product` */
 static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
+static const int RESTORATIONS = 5;        /* in one solve, twice */
 static const int IDLE = 5;                /* iterations without a smaller residual after which rounding is the floor */
 
 /* The largest multiplier times what its slack is a difference of: an entry of x and a bound; of h, taken as 1. */
@@ -72,14 +73,14 @@ static int matrices_finite(const kpirl_mpc_core *core) {
 }
 
 /* Is the time over? */
-static int late(const kpirl_mpc_core *core) {
+int kpirl_mpc_core_late(const kpirl_mpc_core *core) {
   const kpirl_mpc_options *options = &core->options;
   return options->now && options->time_limit > 0 && options->now(options->clock) - core->started >= options->time_limit;
 }
 
 /* ---- one solve ---------------------------------------------------------------------------------------------- */
 
-static void log_iteration(const kpirl_mpc_core *core) {
+void kpirl_mpc_log_iteration(const kpirl_mpc_core *core) {
   const kpirl_mpc_step *step = &core->step;
   kpirl_mpc_residuals residuals;
   kpirl_mpc_iteration line;
@@ -87,8 +88,9 @@ static void log_iteration(const kpirl_mpc_core *core) {
   kpirl_mpc_find_residuals(core, 0, &residuals);
   line.iteration = core->iterations;
   line.trials = core->trials;
+  line.restoring = core->penalty > 0;
   line.objective = core->d.objective;
-  line.infeasibility = residuals.feasibility;
+  line.infeasibility = kpirl_mpc_largest_violation(core);
   line.dual_infeasibility = residuals.stationarity;
   line.complementarity = residuals.complementarity;
   line.tau = core->tau;
@@ -109,7 +111,7 @@ static int acceptable(const kpirl_mpc_core *core) {
 static kpirl_mpc_status why_stuck(kpirl_mpc_core *core) {
   if (!matrices_finite(core)) return KPIRL_MPC_NOT_FINITE;
   if (acceptable(core)) return KPIRL_MPC_ACCEPTABLE;
-  return kpirl_mpc_locally_infeasible(core) ? KPIRL_MPC_INFEASIBLE : KPIRL_MPC_STALLED;
+  return KPIRL_MPC_STALLED;
 }
 
 /* Has the residual stayed as it is for some iterations? */
@@ -148,7 +150,7 @@ static void begin_here(kpirl_mpc_core *core, real tau) {
   core->best = (real)INFINITY;
   core->idle = 0;
   kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
-  kpirl_mpc_start_filter(&core->filter, core->d.violation);
+  kpirl_mpc_start_filter(core);
 }
 
 /* A solution is no minimum where the Hessian is not positive. Newton steps that needed no regularisation know that it is. */
@@ -164,11 +166,11 @@ static kpirl_mpc_status converge(kpirl_mpc_core *core) {
       continue;
     }
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
-    if (late(core)) return KPIRL_MPC_TIME_LIMIT;
+    if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
     if (kpirl_mpc_largest(core->at.x, kpirl_mpc_n_point(core)) > FAR) return KPIRL_MPC_DIVERGED;
     if (idle(core) && acceptable(core)) return KPIRL_MPC_ACCEPTABLE;
     if (!kpirl_mpc_iterate_once(core, final_tau(core))) return why_stuck(core);
-    log_iteration(core);
+    kpirl_mpc_log_iteration(core);
   }
 }
 
@@ -181,7 +183,7 @@ static kpirl_mpc_status advance(kpirl_mpc_core *core) {
     const kpirl_mpc_iterate *at = &core->at, *change = &core->step.change;
     real length, objective;
     if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
-    if (late(core)) return KPIRL_MPC_TIME_LIMIT;
+    if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
     if (!kpirl_mpc_find_positive_step(core, 0)) return why_stuck(core);
     length = core->step.primal_length;
     for (i = 0; i < n_w; ++i) core->trial.x[i] = at->x[i] + length * change->x[i];
@@ -192,7 +194,7 @@ static kpirl_mpc_status advance(kpirl_mpc_core *core) {
       kpirl_mpc_evaluate_values(core, core->trial.x, &objective, core->d.defects,
                                 core->force + core->n_lower + core->n_upper, core->d.equality);
     kpirl_mpc_arrive(core, core->iterations == core->options.steps - 1 ? KPIRL_MPC_FIRST : KPIRL_MPC_SECOND);
-    log_iteration(core);
+    kpirl_mpc_log_iteration(core);
   }
   if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
   return solved(core) ? KPIRL_MPC_CONVERGED : KPIRL_MPC_STEPS_TAKEN;
@@ -232,6 +234,20 @@ static int stuck(kpirl_mpc_status status) {
          status == KPIRL_MPC_NOT_FINITE;
 }
 
+/* With feasibility restoration where the method gets stuck. */
+static kpirl_mpc_status converge_restoring(kpirl_mpc_core *core) {
+  kpirl_mpc_status status = converge(core);
+  int i;
+  for (i = 0; i < RESTORATIONS && stuck(status) && core->iterations < core->options.max_iterations; ++i) {
+    const kpirl_mpc_restoration restoration = kpirl_mpc_restore(core);
+    if (restoration == KPIRL_MPC_SHOWN_INFEASIBLE) return KPIRL_MPC_INFEASIBLE;
+    if (restoration == KPIRL_MPC_NOT_RESTORED) return status;
+    begin_here(core, core->tau);
+    status = converge(core);
+  }
+  return status;
+}
+
 /* With lifted steps; where they get stuck, with steps along the dynamics. A warm start that gets stuck begins again first,
  * cold, from its trajectory. */
 static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
@@ -240,15 +256,16 @@ static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start)
   core->lifted = 1;
   begin(core, start, warm);
   if (core->options.steps) return advance(core);
-  status = converge(core);
-  if (warm && stuck(status)) {
-    begin(core, start, 0);
+  if (warm) {
     status = converge(core);
+    if (!stuck(status)) return status;
+    begin(core, start, 0);
   }
-  if (!stuck(status) || core->iterations == 0) return status;
+  status = converge_restoring(core);
+  if (!stuck(status) || status == KPIRL_MPC_INFEASIBLE || core->iterations == 0) return status;
   core->lifted = 0;
   begin(core, start, 0);
-  return converge(core);
+  return converge_restoring(core);
 }
 
 kpirl_mpc_status kpirl_mpc_core_solve(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers,
@@ -260,6 +277,7 @@ kpirl_mpc_status kpirl_mpc_core_solve(kpirl_mpc_core *core, const kpirl_mpc_numb
   core->options = *options;
   core->tolerance = tolerance; /* bounds multiplier * slack - tau: it has to be small beside tau */
   if (barrier > 0) core->tolerance = kpirl_mpc_smaller(tolerance, kpirl_mpc_larger((real)1e-6 * barrier, (real)1e-13));
+  core->penalty = 0;
   core->iterations = core->trials = core->failed = 0;
   core->started = options->now ? options->now(options->clock) : 0;
   status = plan(core, start);

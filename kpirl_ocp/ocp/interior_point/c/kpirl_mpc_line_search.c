@@ -7,9 +7,8 @@
 #include <string.h>
 
 static const real SHORTEST = (real)1e-10; /* step length below which a line search gives up */
-static const real TINY = (real)1e-14;     /* relative step below which rounding decides, so that it is taken as it is */
+static const real TINY = (real)1e-12;     /* relative step below which rounding decides, so that it is taken as it is */
 static const real STRONGEST = (real)1e10; /* regularisation, relative to the scale of the problem, that leads nowhere */
-static const real SUBPROBLEM = 10;        /* a barrier problem is solved when residuals are below so many tau */
 static const real FLAT = (real)1e-8;      /* curvature, relative to the largest, that counts as none */
 static const real USEFUL = (real)0.01;     /* fraction of a corrected step below which plain Newton steps do better */
 static const real SMALL = (real)1e-3;      /* violation that counts as little */
@@ -40,7 +39,8 @@ static real slope_of(const kpirl_mpc_core *core) {
   real barrier = 0;
   int i;
   for (i = 0; i < m; ++i) barrier += change->y[i] / core->at.y[i];
-  return kpirl_mpc_dot(core->d.cost_gradient, change->x, kpirl_mpc_n_point(core)) - core->step.tau * barrier;
+  return kpirl_mpc_dot(core->d.cost_gradient, change->x, kpirl_mpc_n_point(core)) - core->step.tau * barrier +
+         (core->penalty > 0 ? core->step.penalty_slope : 0);
 }
 
 static void swap(kpirl_mpc_iterate *a, kpirl_mpc_iterate *b) {
@@ -57,6 +57,10 @@ void kpirl_mpc_arrive(kpirl_mpc_core *core, int level) {
   swap(&core->at, &core->trial);
   kpirl_mpc_inequalities(core, core->at.x, core->force + core->n_lower + core->n_upper, core->d.g);
   kpirl_mpc_centre(core);
+  if (core->penalty > 0) {
+    memcpy(core->d.c, core->at.nu, (size_t)kpirl_mpc_n_equalities(core) * sizeof(real));
+    kpirl_mpc_relax(core);
+  }
   kpirl_mpc_differentiate(core, level);
 }
 
@@ -70,7 +74,8 @@ static int move_along(kpirl_mpc_core *core, real least) {
   real length = step->primal_length;
   kpirl_mpc_merit before, trial;
   before.theta = core->d.violation;
-  before.phi = core->d.objective - step->tau * kpirl_mpc_log_sum(core->at.y, kpirl_mpc_n_inequalities(core));
+  before.phi = core->d.objective - step->tau * kpirl_mpc_hard_log_sum(core, core->at.y);
+  if (core->penalty > 0) before.phi += kpirl_mpc_penalty(core, core->d.g, core->d.c);
   while (length >= shortest) {
     ++core->trials;
     kpirl_mpc_try(core, length, core->lifted, &trial);
@@ -88,15 +93,12 @@ static int move_along(kpirl_mpc_core *core, real least) {
  * problems are solved (Waechter and Biegler, 2006, section 2.1). A tau that a predictor chose on the way leaves no room to turn. */
 static void hold_tau(kpirl_mpc_core *core, real least) {
   const real before = core->tau;
-  kpirl_mpc_residuals residuals;
   core->tau = kpirl_mpc_larger(core->tau, core->indefinite_tau);
-  kpirl_mpc_find_residuals(core, core->tau, &residuals);
-  if (residuals.stationarity <= SUBPROBLEM * core->tau && residuals.feasibility <= SUBPROBLEM * core->tau &&
-      residuals.complementarity <= SUBPROBLEM * core->tau) {
+  if (kpirl_mpc_subproblem_solved(core)) {
     const real lower = kpirl_mpc_smaller((real)0.2 * core->tau, kpirl_mpc_power(core->tau, (real)1.5));
     core->indefinite_tau = core->tau = kpirl_mpc_larger(least, lower);
   }
-  if (core->tau != before) kpirl_mpc_start_filter(&core->filter, core->d.violation);
+  if (core->tau != before) kpirl_mpc_start_filter(core);
 }
 
 /* The smallest tau for now: a share of its start, in proportion to what is left of violation and gradient of the Lagrangian. Else
@@ -114,28 +116,33 @@ static real kept_tau(kpirl_mpc_core *core, real least) {
   return kpirl_mpc_larger(least, kpirl_mpc_smaller(KEPT * core->start_tau * left, core->tau));
 }
 
-/* Move along the corrected step where it is one to a minimum; else along Newton steps, regularised. Returns whether it moved. */
-int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least) {
+/* Move along a Newton step, regularised until the filter accepts it. Returns whether it moved. */
+int kpirl_mpc_newton_iterate(kpirl_mpc_core *core) {
   real rho = 0;
   int attempt;
-  core->trials = 0;
-  least = kept_tau(core, least);
-  kpirl_mpc_corrected_step(core, least, kpirl_mpc_larger(core->tau, least));
-  if (core->step.positive) {
-    if (core->step.tau != core->tau) {
-      core->tau = core->step.tau;
-      kpirl_mpc_start_filter(&core->filter, core->d.violation);
-    }
-    if (move_along(core, USEFUL)) return 1;
-  } else {
-    hold_tau(core, least);
-  }
   for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
     if (!kpirl_mpc_find_positive_step(core, rho)) return 0;
     if (move_along(core, 0)) return 1;
     rho = kpirl_mpc_larger(100 * core->step.regularisation, (real)1e-4);
   }
   return 0;
+}
+
+/* Move along the corrected step where it is one to a minimum; else along Newton steps, regularised. Returns whether it moved. */
+int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least) {
+  core->trials = 0;
+  least = kept_tau(core, least);
+  kpirl_mpc_corrected_step(core, least, kpirl_mpc_larger(core->tau, least));
+  if (core->step.positive) {
+    if (core->step.tau != core->tau) {
+      core->tau = core->step.tau;
+      kpirl_mpc_start_filter(core);
+    }
+    if (move_along(core, USEFUL)) return 1;
+  } else {
+    hold_tau(core, least);
+  }
+  return kpirl_mpc_newton_iterate(core);
 }
 
 /* Move off a stationary point along negative curvature, to where the barrier function is lower. */

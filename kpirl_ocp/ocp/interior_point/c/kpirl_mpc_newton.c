@@ -38,14 +38,13 @@ static void condense(const kpirl_mpc_core *core, int t, const real *diagonal, re
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
   const int n_h = DIM(core, n_path), n_e = DIM(core, n_equality), last = t == T, n = last ? n_s : n_x;
   const kpirl_mpc_derivatives *d = &core->d;
-  int i, j;
+  int i;
   memcpy(M, d->H + t * n_x * n_x, (size_t)n * n * sizeof(real));
   for (i = 0; i < n; ++i) M[i + i * n] += diagonal[t * n_x + i];
   add_rows(d->G + t * n_x * n_h, n, last ? DIM(core, n_terminal) : n_h, core->weights + kpirl_mpc_n_bounds(core) + t * n_h, M);
   if (n_e + DIM(core, n_terminal_equality) > 0) {
     const int rows = last ? DIM(core, n_terminal_equality) : n_e;
-    const real weight = 1 / KPIRL_MPC_PROXIMAL;
-    for (j = 0; j < rows; ++j) add_rows(d->E + t * n_x * n_e + j * n, n, 1, &weight, M);
+    add_rows(d->E + t * n_x * n_e, n, rows, core->stiffness + core->n_fixed + t * n_e, M);
   }
 }
 
@@ -58,7 +57,7 @@ static int all_positive(const real *pivots, int count) {
 
 int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_x = n_s + n_u;
-  const int m = kpirl_mpc_n_inequalities(core), n_free = core->bounds.n_free, n_w = kpirl_mpc_n_point(core);
+  const int m = kpirl_mpc_n_inequalities(core), n_free = core->bounds.n_free, n_w = kpirl_mpc_n_point(core), n_c = kpirl_mpc_n_equalities(core);
   kpirl_mpc_factors *factors = &core->factors;
   real *diagonal = core->right;
   int i, t;
@@ -66,7 +65,8 @@ int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
   for (i = 0; i < m; ++i) core->weights[i] = core->at.z[i] / core->at.y[i];
   for (i = 0; i < core->n_lower; ++i) diagonal[core->lower[i]] += core->weights[i];
   for (i = 0; i < core->n_upper; ++i) diagonal[core->upper[i]] += core->weights[core->n_lower + i];
-  for (i = 0; i < core->n_fixed; ++i) diagonal[core->fixed[i]] += 1 / KPIRL_MPC_PROXIMAL;
+  for (i = 0; core->penalty <= 0 && i < n_c; ++i) core->stiffness[i] = 1 / KPIRL_MPC_PROXIMAL;
+  for (i = 0; i < core->n_fixed; ++i) diagonal[core->fixed[i]] += core->stiffness[i];
   for (i = 0; i < n_w; ++i) diagonal[i] += regularisation;
   condense(core, T, diagonal, factors->P + T * n_s * n_s);
   kpirl_mpc_mirror(factors->P + T * n_s * n_s, n_s);
@@ -90,7 +90,7 @@ static void solve(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
   real *fixing = change->nu;
   int i;
   for (i = 0; i < m; ++i) core->force[i] = core->target[i] / at->y[i] + core->weights[i] * (d->g[i] + at->y[i]);
-  for (i = 0; i < n_c; ++i) fixing[i] = at->nu[i] + d->c[i] / KPIRL_MPC_PROXIMAL;
+  for (i = 0; i < n_c; ++i) fixing[i] = at->nu[i] + (core->penalty > 0 ? 0 : d->c[i] * core->stiffness[i]);
   memcpy(core->right, d->slope, (size_t)n_w * sizeof(real));
   kpirl_mpc_push_bounds(core, core->force, fixing, core->right);
   kpirl_mpc_path_push(core, d->G, n_h, n_hT, core->force + kpirl_mpc_n_bounds(core), core->right);
@@ -106,10 +106,10 @@ static void solve(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
     change->y[i] = -(d->g[i] + at->y[i]) - dg;
     change->z[i] = core->force[i] + core->weights[i] * dg - at->z[i];
   }
-  for (i = 0; i < core->n_fixed; ++i) change->nu[i] = (d->c[i] + change->x[core->fixed[i]]) / KPIRL_MPC_PROXIMAL;
+  for (i = 0; i < core->n_fixed; ++i) change->nu[i] = (d->c[i] + change->x[core->fixed[i]]) * core->stiffness[i];
   memcpy(change->nu + core->n_fixed, d->c + core->n_fixed, (size_t)(n_c - core->n_fixed) * sizeof(real));
   kpirl_mpc_path_times(core, d->E, n_e, n_eT, change->x, change->nu + core->n_fixed);
-  for (i = core->n_fixed; i < n_c; ++i) change->nu[i] /= KPIRL_MPC_PROXIMAL;
+  for (i = core->n_fixed; i < n_c; ++i) change->nu[i] *= core->stiffness[i];
 }
 
 /* The longest step in (0, 1] that keeps value + length * change at least (1 - share) value; value > 0. */
@@ -148,8 +148,9 @@ void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation) {
   core->step.tau = core->tau;
   core->step.positive = kpirl_mpc_factorise(core, regularisation);
   if (!core->step.positive) return;
-  for (i = 0; i < m; ++i) core->target[i] = core->tau;
+  for (i = 0; i < m; ++i) core->target[i] = kpirl_mpc_is_elastic(core, i) ? -core->at.z[i] * core->d.g[i] : core->tau;
   solve(core, &core->step.change);
+  if (core->penalty > 0) kpirl_mpc_let_go(core);
   limit_lengths(core, regularisation);
 }
 

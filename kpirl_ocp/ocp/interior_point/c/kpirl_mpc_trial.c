@@ -18,7 +18,7 @@ void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_meri
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core), bounds = kpirl_mpc_n_bounds(core);
   const real least = REMAINDER * (1 - core->step.share);
   real *path = core->force + bounds, *equality = trial->nu + core->n_fixed, *g = trial->z;
-  real objective = 0, theta;
+  real objective = 0, theta, penalty;
   int i, outside = 0;
   if (lifted) {
     for (i = 0; i < n_w; ++i) trial->x[i] = at->x[i] + length * change->x[i];
@@ -31,9 +31,14 @@ void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_meri
   kpirl_mpc_gap(core, trial->x, core->start);
   theta += kpirl_mpc_absolute_sum(core->start, n_s);
   kpirl_mpc_equalities(core, trial->x, equality, trial->nu);
-  theta += kpirl_mpc_absolute_sum(trial->nu, n_c);
+  if (core->penalty <= 0) theta += kpirl_mpc_absolute_sum(trial->nu, n_c);
   kpirl_mpc_inequalities(core, trial->x, path, g);
+  penalty = core->penalty > 0 ? kpirl_mpc_penalty(core, g, trial->nu) : 0;
   for (i = 0; i < m; ++i) {
+    if (kpirl_mpc_is_elastic(core, i)) {
+      trial->y[i] = at->y[i];
+      continue;
+    }
     trial->y[i] = i < bounds ? (1 - length) * (d->g[i] + at->y[i]) - g[i]
                              : kpirl_mpc_larger(at->y[i] + length * change->y[i], -g[i]);
     theta += kpirl_mpc_abs(g[i] + trial->y[i]);
@@ -42,9 +47,10 @@ void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_meri
   if (core->failed) theta = (real)NAN; /* outside the domain of a function: no place to go */
   core->failed = 0;
   merit->theta = theta;
-  merit->phi = outside ? (real)INFINITY : objective - core->step.tau * kpirl_mpc_log_sum(trial->y, m);
+  merit->phi = outside ? (real)INFINITY : objective + penalty - core->step.tau * kpirl_mpc_hard_log_sum(core, trial->y);
   for (i = 0; i < T * n_s; ++i) trial->costates[i] = at->costates[i] + length * change->costates[i];
-  for (i = 0; i < n_c; ++i) trial->nu[i] = at->nu[i] + length * change->nu[i];
+  if (core->penalty <= 0)
+    for (i = 0; i < n_c; ++i) trial->nu[i] = at->nu[i] + length * change->nu[i];
 }
 
 /* A shorter length: half of it, or more, up to what would have kept enough of the slacks that shrank too much. */
@@ -56,6 +62,17 @@ real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length) {
   int i;
   for (i = 0; i < m; ++i) most = kpirl_mpc_larger((before[i] - after[i]) / before[i], most);
   return length * (most > share ? kpirl_mpc_smaller(kpirl_mpc_larger(share / most, (real)0.5), (real)0.95) : (real)0.5);
+}
+
+/* Of the logarithms of slacks of constraints that are not elastic. */
+real kpirl_mpc_hard_log_sum(const kpirl_mpc_core *core, const real *y) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  real sum = 0;
+  int i;
+  if (core->penalty <= 0) return kpirl_mpc_log_sum(y, m);
+  for (i = 0; i < m; ++i)
+    if (!kpirl_mpc_is_elastic(core, i)) sum += KPIRL_MPC_MATH(log)(y[i]);
+  return sum;
 }
 
 /* Slacks no smaller than what is left of the constraint, and multipliers near tau / y. */

@@ -1,0 +1,76 @@
+"""Feasibility restoration: past constraints that leave no room, and the proof that there is no feasible point."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from test_random_problems import random_case
+from test_random_statements import Drawing
+
+from kpirl_ocp import OCP, Ipopt, Riccati, Status
+from kpirl_ocp.ocp.conditions.audit import audit
+
+
+def around_a_disc(steps=30, dt=0.1):
+    """From s_0 to rest at (2, 0), half a metre away from (1, 0)."""
+    s, u = ca.SX.sym("s", 4), ca.SX.sym("u", 2)
+    return OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=steps,
+        dynamics=ca.vertcat(s[:2] + dt * s[2:], s[2:] + dt * u),
+        stage_cost=0.1 * ca.sumsqr(u),
+        path_constraint=0.25 - ca.sumsqr(s[:2] - ca.vertcat(1, 0)),
+        terminal_equality=s - ca.vertcat(2, 0, 0, 0),
+    )
+
+
+@pytest.mark.parametrize("s0", [(0, 0.1), (0, -0.5), (0.2, 0.3), (0, 0.02), (0, 1), (-1, -0.1)])
+def test_disc_between_start_and_goal_is_passed(s0):
+    problem = around_a_disc()
+    found = Riccati().solve(problem, [*s0, 0, 0]).raise_if_failed()
+    residuals = audit(problem, np.zeros(0), np.zeros(0), found, found.multipliers)
+    assert max(residuals.stationarity, residuals.feasibility, residuals.complementarity) <= 1e-6
+    beside = found.states[:-1, :2] - [1, 0]
+    assert np.linalg.norm(beside, axis=1).min() >= 0.5 - 1e-7
+
+
+def test_log_marks_restoration(capsys):
+    Riccati(verbose=True).solve(around_a_disc(), [0, 0.1, 0, 0])
+    lines = capsys.readouterr().err.splitlines()[1:]
+    assert {line[4] for line in lines} == {"r", " "}
+    assert [int(line[:4]) for line in lines] == list(range(1, len(lines) + 1))
+
+
+def infeasible():
+    """Random problems that Ipopt calls infeasible, too."""
+    for seed in (89, 151, 230, 256, 288):
+        problem, arguments = Drawing(seed).problem()
+        yield f"statement {seed}", problem, arguments
+    for seed in range(50, 100):
+        problem, demonstration, psi = random_case(seed)
+        yield f"case {seed}", problem, (demonstration.s0, psi, demonstration.context)
+
+
+def test_infeasible_is_said_of_what_ipopt_finds_infeasible_and_of_nothing_else():
+    said = 0
+    for name, problem, arguments in infeasible():
+        ours, peer = (solver.solve(problem, *arguments).status for solver in (Riccati(), Ipopt()))
+        assert (ours is Status.INFEASIBLE) == (peer is Status.INFEASIBLE), name
+        said += ours is Status.INFEASIBLE
+    assert said == 12
+
+
+def test_terminal_set_out_of_reach_is_infeasible_in_any_unit():
+    """|s_T - s_0| <= T |u| <= 1, so that s_T >= 1.5 cannot be."""
+    for unit in (1e-3, 1.0, 1e3):
+        s, u = ca.SX.sym("s"), ca.SX.sym("u")
+        problem = OCP.from_expressions(
+            state=s,
+            action=u,
+            horizon=10,
+            dynamics=s + u,
+            stage_cost=u**2,
+            action_bounds=(-0.1 * unit, 0.1 * unit),
+            terminal_constraint=1.5 * unit - s,
+        )
+        assert Riccati().solve(problem, [0.0]).status is Status.INFEASIBLE
