@@ -74,3 +74,10 @@ def test_terminal_set_out_of_reach_is_infeasible_in_any_unit():
             terminal_constraint=1.5 * unit - s,
         )
         assert Riccati().solve(problem, [0.0]).status is Status.INFEASIBLE
+
+
+@pytest.mark.parametrize("limit", [6, 20, 40])
+def test_iteration_limit_counts_restoration(limit):
+    found = Riccati(max_iterations=limit).solve(around_a_disc(), [0, 0.1, 0, 0])
+    assert found.status is Status.ITERATION_LIMIT
+    assert found.iterations == limit

@@ -238,9 +238,11 @@ static int stuck(kpirl_mpc_status status) {
 static kpirl_mpc_status converge_restoring(kpirl_mpc_core *core) {
   kpirl_mpc_status status = converge(core);
   int i;
-  for (i = 0; i < RESTORATIONS && stuck(status) && core->iterations < core->options.max_iterations; ++i) {
+  for (i = 0; i < RESTORATIONS && stuck(status); ++i) {
     const kpirl_mpc_restoration restoration = kpirl_mpc_restore(core);
     if (restoration == KPIRL_MPC_SHOWN_INFEASIBLE) return KPIRL_MPC_INFEASIBLE;
+    if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
+    if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
     if (restoration == KPIRL_MPC_NOT_RESTORED) return status;
     begin_here(core, core->tau);
     status = converge(core);
