@@ -9,6 +9,8 @@ import pytest
 import statements
 from problems import TABLE, integrator, network
 
+from kpirl_ocp import Riccati
+from kpirl_ocp.irl.hypergradients.implicit import differentiate
 from kpirl_ocp.ocp.codegen.numpy_calls import Call, call
 from kpirl_ocp.ocp.conditions import parameter_derivatives
 from kpirl_ocp.ocp.conditions.program import transcribe
@@ -164,3 +166,14 @@ def test_arguments_that_were_fixed_stay_and_the_others_change():
     with pytest.raises(ValueError, match="0 arguments were given, expected 1"):
         fixed()
     np.testing.assert_array_equal(fixed.fix()(np.full(3000, 2.0), np.zeros(2))[0], [6000, 6000])
+
+
+@pytest.mark.parametrize("name", ["iiwa", "lqr"])
+def test_machine_code_of_mixed_derivatives_gives_the_gradient_of_the_virtual_machine_to_the_last_bit(name):
+    case = TABLE[name]()
+    seen, found = case.demonstration, []
+    for wish in (False, True):
+        problem = replace(case.problem)  # another one, of which nothing is known yet
+        solution = Riccati(compile=wish).solve(problem, seen.s0, case.psi, seen.context)
+        found.append(differentiate(problem, seen, solution).gradient)
+    np.testing.assert_array_equal(*found)

@@ -16,7 +16,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.numpy_calls import Build
 from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachine, pointer_to
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
-from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare
+from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare, prepare_function
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
 from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -24,6 +24,7 @@ from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, StageValues, c
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 _OTHERS = 32  # things that a core keeps besides its functions
+_EVALUATIONS = 5  # of every stage that a use of such a function makes
 
 T = TypeVar("T")
 STATUS = {
@@ -57,6 +58,7 @@ class Core:
         self._n_w = self._library.kpirl_mpc_n_point(self._core)
         self._schedule = np.ascontiguousarray(problem.schedule, float)
         self._residuals, self._view = c.Residuals(), c.View()
+        self._wish: Compile = "auto"
         self._evaluations = 0
         self._others: OrderedDict[Any, Any] = OrderedDict()
 
@@ -84,11 +86,18 @@ class Core:
 
         It is called with structures of pointers to its arguments and to its results, in their order.
         """
-        return self.kept(pointer_to(build)).address
+        pointer = self.kept(pointer_to(build))
+        if not pointer.compiled:
+            pointer.uses += 1
+            evaluations = _EVALUATIONS * self.problem.horizon * pointer.uses
+            code = prepare_function(self.problem, build, self._wish, evaluations)
+            if code is not None:
+                pointer.take(code)
+        return pointer.address
 
     def solve(self, options: Any, wish: Compile, s0: Array, psi: Array, context: Array, guess: Guess) -> Solution:
         """Solve with settings `library.Options`; the GIL is released meanwhile."""
-        code = prepare(self.problem, wish, self._evaluations)
+        self._wish, code = wish, prepare(self.problem, wish, self._evaluations)
         if code is not self._code:
             self._code = code
             self._model = self._make_model()

@@ -73,12 +73,26 @@ class Compiled:
 
 
 class Pointer:
-    """A C function pointer to a function of a problem, called with its arguments and results in their order."""
+    """A C function pointer to a function of a problem, called with its arguments and results in their order.
+
+    uses: how often it was asked for.
+    """
 
     def __init__(self, function: ca.Function) -> None:
-        self._evaluator = VirtualMachine(function, (tuple(function.name_in()), tuple(function.name_out())))
+        self._function, self.uses, self.compiled = function, 0, False
+        self._names = tuple(function.name_in()), tuple(function.name_out())
+        self._evaluator: VirtualMachine | Compiled = VirtualMachine(function, self._names)
         self._pointer = self._evaluator.pointer
-        self.address = ctypes.addressof(self._pointer)
+
+    @property
+    def address(self) -> int:
+        """Of the structure."""
+        return ctypes.addressof(self._pointer)
+
+    def take(self, code: int) -> None:
+        """Use machine code at this address from now on."""
+        self._evaluator, self.compiled = Compiled(self._function, self._names, code), True
+        self._pointer = self._evaluator.pointer
 
 
 @lru_cache(maxsize=256)

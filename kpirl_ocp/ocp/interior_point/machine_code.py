@@ -22,7 +22,7 @@ from typing import Literal
 import casadi as ca
 
 from kpirl_ocp.ocp.codegen import compiler
-from kpirl_ocp.ocp.codegen.numpy_calls import worth_compiling
+from kpirl_ocp.ocp.codegen.numpy_calls import Build, worth_compiling
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -112,6 +112,28 @@ def machine_code(problem: OCP) -> MachineCode:
         return MachineCode(stage_functions(problem).all, kernels=False)
     functions = horizon_functions(problem)
     return MachineCode([*functions.horizon, functions.dynamics], kernels=True)
+
+
+@lru_cache(maxsize=256)
+def _machine_code_of(problem: OCP, build: Build) -> MachineCode:
+    """That of a function of the problem on its own."""
+    return MachineCode([build(problem)], kernels=False)
+
+
+def prepare_function(problem: OCP, build: Build, wish: Compile, evaluations: int) -> int | None:
+    """The address of machine code for `build(problem)`; None for the virtual machine, or where that calls a library.
+
+    evaluations: of stages so far.
+    """
+    if wish is False or worth_compiling(problem):
+        return None
+    code = _machine_code_of(problem, build)
+    if wish is True:
+        code.wait()
+    elif evaluations > _OFTEN:
+        code.begin()
+    addresses = code.addresses()
+    return None if addresses is None else next(iter(addresses.values()))
 
 
 def prepare(problem: OCP, wish: Compile, evaluations: int) -> dict[str, int] | None:
