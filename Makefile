@@ -1,6 +1,7 @@
 # make demo: install; watch a person, learn, plan and do it.    make test: install, lint, type-check, test.
 # make paper: all experiments of the paper, with a report.      make study: its simulation study alone.
 # make docs: the pages as a web site in out/site.
+# make stress: try to break it, for hours: certificates beside peers, statuses, kills, long lives of one process.
 # make benchmark: timings beside torch, JAX, Fatrop and Ipopt.
 # make hands: the networks that find hands in films, from the package registry; for kpirl learn-video.
 # make models: camera data, keypoint detector and dynamics at the paper's scale (SEED=0, MODELS=out/models).
@@ -15,7 +16,7 @@ COLLECT = $(BIN)/python scripts/collect_data.py
 IN_HAND = hand-placing hand-placing-1 hand-placing-2
 DYNAMICS = $(BIN)/python scripts/train_dynamics.py --seed $(SEED) --detector $(MODELS)/detector/detector.json
 
-.PHONY: demo paper test study benchmark hands models docs clean
+.PHONY: demo paper test study benchmark stress hands models docs clean
 
 demo: .venv/installed-perception
 	$(BIN)/python scripts/visual_demo.py --out out/demo
@@ -28,6 +29,9 @@ study: .venv/installed
 
 benchmark: .venv/installed-bench
 	$(BIN)/python scripts/benchmark.py --out out/benchmark
+
+stress: .venv-stress/installed
+	RUST_LOG=off .venv-stress/bin/python scripts/stress_test.py --out out/stress
 
 hands: .venv/installed-perception
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[hands]"
@@ -90,5 +94,13 @@ test: .venv/installed-test
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[test]"
 	touch $@
 
+# Peers in an environment of their own. mpc.pytorch needs an old setuptools to be built.
+.venv-stress/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv-stress
+	.venv-stress/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[test,stress]"
+	echo "setuptools<66" > .venv-stress/old-setuptools.txt
+	PIP_CONSTRAINT=.venv-stress/old-setuptools.txt .venv-stress/bin/python -m pip install --quiet --no-deps mpc==0.0.6
+	touch $@
+
 clean:
-	rm -rf .venv out
+	rm -rf .venv .venv-stress out

@@ -7,8 +7,10 @@ stored. `Episode` holds a demonstration in 3-D keypoints; perception has others 
 from __future__ import annotations
 
 import dataclasses
+import glob
 import json
 import os
+import platform
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -191,13 +193,20 @@ def _arrays(episode: Any) -> dict[str, np.ndarray[Any, Any]]:
 
 
 class atomic_write:
-    """A file that takes its name only when it has been written to the end."""
+    """A file that takes its name only when it has been written to the end.
+
+    What a killed process of this machine left of the same file is removed.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        self.part = path.with_name(f".{path.name}.{platform.node()}.{os.getpid()}.part")
 
     def __enter__(self) -> BinaryIO:
+        for left in self.path.parent.glob(f".{glob.escape(self.path.name)}.{glob.escape(platform.node())}.*.part"):
+            process = left.name.split(".")[-2]
+            if process.isdigit() and not _alive(int(process)):
+                left.unlink(missing_ok=True)
         self.file = self.part.open("wb")
         return self.file
 
@@ -207,3 +216,13 @@ class atomic_write:
             self.part.replace(self.path)
         else:
             self.part.unlink()
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True

@@ -52,7 +52,7 @@ ORDER = {
         ("plant",),
     ],
 }
-OUTSIDE = {"scripts", "tests", "bench", "experiments", "reproduction"}
+OUTSIDE = {"scripts", "tests", "bench", "experiments", "reproduction", "stress"}
 MOST_FILES, MOST_LINES = 12, 300
 
 

@@ -1,12 +1,16 @@
 """Demonstrations: the expert, and their files."""
 
 import json
+import platform
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from kpirl_ocp.episodes import Episode, read_episodes, write_episodes
+from kpirl_ocp.episodes import Episode, atomic_write, read_episodes, write_episodes
 from kpirl_ocp.errors import EpisodeError, ProblemError
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.motion import minimum_jerk
@@ -125,3 +129,20 @@ def test_a_failed_write_leaves_no_file_behind(tmp_path, episodes):
     with pytest.raises(TypeError):
         write_episodes(tmp_path, episodes[:1], {"not json": object()})
     assert [path.name for path in tmp_path.iterdir()] == ["episode_000.npz"]
+
+
+def test_what_a_killed_process_left_of_a_file_is_removed_and_that_of_living_ones_is_not(tmp_path):
+    """A real process that kills itself while it writes; one that lives, the first of all; one of another machine."""
+    path = tmp_path / "episode [1].npz"
+    dying = f"with atomic_write(Path({str(path)!r})) as file: file.write(b'half'); os.kill(os.getpid(), 9)"
+    code = f"import os\nfrom pathlib import Path\nfrom kpirl_ocp.episodes import atomic_write\n{dying}"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    assert len(list(tmp_path.iterdir())) == 1
+    living = tmp_path / f".{path.name}.{platform.node()}.1.part"
+    elsewhere = tmp_path / f".{path.name}.elsewhere.{2**22 + 1}.part"
+    living.touch()
+    elsewhere.touch()
+    with atomic_write(path) as file:
+        file.write(b"whole")
+    assert set(tmp_path.iterdir()) == {path, living, elsewhere}
+    assert path.read_bytes() == b"whole"

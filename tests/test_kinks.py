@@ -28,6 +28,7 @@ FOLLOWING = OCP.from_expressions(**PLAIN, stage_cost=(U - P) ** 2)
 FOLDED = OCP.from_expressions(**PLAIN, stage_cost=(U - P) ** 2, observation=ca.fabs(S - 1))
 STEPPED = OCP.from_expressions(**PLAIN, stage_cost=(U - ca.floor(P)) ** 2)
 BENT = OCP.from_expressions(**PLAIN, stage_cost=(U - P) ** 2 + ca.fabs(U - 1) * (U - 1))
+PRICED = OCP.from_expressions(**PLAIN, stage_cost=(U - P) ** 2 + ca.if_else(U > 1, 0.5, 0))
 SHIFTED = OCP.from_expressions(**PLAIN | {"dynamics": S + U + ca.fabs(P)}, stage_cost=(U - 1) ** 2 + S**2)
 
 
@@ -45,7 +46,9 @@ def test_a_kink_that_only_psi_sees_is_flagged_and_its_sides_are_certified():
 
 
 @pytest.mark.parametrize(
-    ("problem", "kink", "beside"), [(STEPPED, 1.0, 1.5), (BENT, 1.0, 1.2), (SHIFTED, 0.0, 0.3)], ids=str
+    ("problem", "kink", "beside"),
+    [(STEPPED, 1.0, 1.5), (BENT, 1.0, 1.2), (SHIFTED, 0.0, 0.3), (PRICED, 1.0, 0.8)],
+    ids=str,
 )
 def test_jumps_and_bends_of_the_plan_are_flagged_and_points_beside_them_certified(problem, kink, beside):
     assert not certificate_of(problem, kink).certificate.certified

@@ -33,7 +33,7 @@ OF_COMMANDS = sorted(name for name, text in SOURCES.items() if "cli.main import 
 PARTS_OF_THE_PAGES = {"griffe_fields.py", "mkdocs_hooks.py"}
 TESTED_ELSEWHERE = PARTS_OF_THE_PAGES | {
     *("export_mpc.py", "collect_data.py", "train_keypoints.py", "train_dynamics.py", "reproduce_paper.py"),
-    *("imitate_expert.py", "reference_suite.py"),
+    *("imitate_expert.py", "reference_suite.py", "stress_test.py"),
 }
 PERCEPTION = {"imitate_expert.py", "reproduce_paper.py", "visual_demo.py"}  # need its packages to start
 

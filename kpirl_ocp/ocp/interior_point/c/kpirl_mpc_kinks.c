@@ -22,9 +22,16 @@ static int n_conditions(const kpirl_mpc_system *s) {
   return kpirl_mpc_system_n_point(s) + s->horizon * s->n_states + kpirl_mpc_system_n_rows(s) - s->n_bounds;
 }
 
+static real dot(const real *a, const real *b, int n) {
+  real sum = 0;
+  int i;
+  for (i = 0; i < n; ++i) sum += a[i] * b[i];
+  return sum;
+}
+
 /* Gradient of the Lagrangian, defects, path constraints and equalities at x, with the forces of kkt->point; NaN where a function
- * failed. */
-static void conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const real *x,
+ * failed. Returns the Lagrangian. */
+static real conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const real *x,
                        real *values) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n_path = s->horizon * s->n_path + s->n_terminal;
@@ -43,6 +50,8 @@ static void conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl
   memcpy(values + n_w + n_c, view.path, (size_t)n_path * sizeof(real));
   memcpy(values + n_w + n_c + n_path, view.equality, (size_t)(n - n_w - n_c - n_path) * sizeof(real));
   for (i = 0; failed && i < n; ++i) values[i] = (real)NAN;
+  return view.objective + dot(at.costates, view.defects, n_c) + dot(at.path, view.path, n_path) +
+         dot(at.equality, view.equality, n - n_w - n_c - n_path);
 }
 
 /* ---- along x ---------------------------------------------------------------------------------------------------- */
@@ -86,16 +95,35 @@ static real disagreement(const real *left, const real *here, const real *right, 
   return over(kpirl_mpc_root(worse(off_right, off_left)), whole);
 }
 
-static real kink(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *here, const real *units, const real *move,
-                 real *work) {
+/* A jump of the Lagrangian L, whose gradients to the left, here and to the right do not see it: what is left of its changes
+ * beyond slope and curvature, relative to them, or to a share of its terms that may be rounding. */
+static real value_jump(const kpirl_mpc_kkt *k, const real *L, const real *left, const real *here, const real *right,
+                       const real *move) {
+  const kpirl_mpc_system *s = &k->system;
+  const int n_s = s->n_states, n_x = n_s + s->n_actions;
+  real bend = 0, slope = 0, terms = kpirl_mpc_abs(L[1]), off;
+  int i;
+  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) {
+    bend += kpirl_mpc_abs((right[i] - left[i]) * move[i]);
+    slope += here[i] * move[i];
+  }
+  for (i = 0; i < s->horizon * n_s; ++i)
+    terms += kpirl_mpc_abs(k->point.costates[i] * s->sizes[(i / n_s + 1) * n_x + i % n_s]);
+  off = worse(kpirl_mpc_abs(L[2] - L[1] - slope), kpirl_mpc_abs(L[1] - L[0] - slope)) - bend;
+  return over(kpirl_mpc_larger(off, 0), worse(worse(bend, kpirl_mpc_abs(slope)), FLOOR * terms));
+}
+
+static real kink(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, real lagrangian, const real *here, const real *units,
+                 const real *move, real *work) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n = n_conditions(s);
-  real *left = work, *right = left + n, *slope = right + n, *x = slope + n, *zeros = x, *values = x, own = 0, whole, worst;
+  real *left = work, *right = left + n, *slope = right + n, *x = slope + n, *zeros = x, *values = x, own = 0, whole, worst, L[3];
   int i;
+  L[1] = lagrangian;
   for (i = 0; i < n_w; ++i) x[i] = k->point.x[i] - move[i];
-  conditions(k, core, &k->numbers, x, left);
+  L[0] = conditions(k, core, &k->numbers, x, left);
   for (i = 0; i < n_w; ++i) x[i] = k->point.x[i] + move[i];
-  conditions(k, core, &k->numbers, x, right);
+  L[2] = conditions(k, core, &k->numbers, x, right);
   memset(zeros, 0, (size_t)n_c * sizeof(real));
   kpirl_mpc_lagrangian_times(s, move, zeros, slope);
   kpirl_mpc_defects_times(s, move, slope + n_w);
@@ -107,6 +135,7 @@ static real kink(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *here,
   }
   whole = largest_share(s, move);
   worst = disagreement(left, here, right, slope, units, n_w, kpirl_mpc_root(own), 1);
+  worst = worse(worst, value_jump(k, L, left, here, right, move));
   worst = worse(worst, disagreement(left + n_w, here + n_w, right + n_w, slope + n_w, units + n_w, n_c, whole, 0));
   i = n_w + n_c;
   return worse(worst, disagreement(left + i, here + i, right + i, slope + i, units + i, n - i, whole, 0));
@@ -116,14 +145,14 @@ real kpirl_mpc_kink_along(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const re
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n = n_conditions(s);
   const real size = largest_share(s, direction);
-  real *here = k->work, *units = here + n, *move = units + n, *work = move + n_w, error = (real)INFINITY, length = DIFFERENCE;
+  real *here = k->work, *units = here + n, *move = units + n, *work = move + n_w, error = (real)INFINITY, length = DIFFERENCE, lagrangian;
   int i, j;
   if (size == 0) return 0;
   find_units(k, units);
-  conditions(k, core, &k->numbers, k->point.x, here);
+  lagrangian = conditions(k, core, &k->numbers, k->point.x, here);
   for (j = 0; j < 2 && !(error <= ENOUGH); ++j, length *= CLOSER) {
     for (i = 0; i < n_w; ++i) move[i] = length / size * direction[i];
-    error = kpirl_mpc_smaller(error, kink(k, core, here, units, move, work));
+    error = kpirl_mpc_smaller(error, kink(k, core, lagrangian, here, units, move, work));
   }
   return error;
 }

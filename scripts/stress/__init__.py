@@ -1,0 +1,1 @@
+"""What is hard on the package: generated cases with known answers, kills, and long lives of one process."""

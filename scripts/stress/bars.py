@@ -1,0 +1,26 @@
+"""What must hold of the numbers; sentences for what does not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+_HEALTHY, _MEGABYTES = 0.95, 20.0
+
+
+def broken(numbers: dict[str, Any]) -> list[str]:
+    """One sentence for every bar that is missed."""
+    found = []
+    contest, statuses = numbers.get("certificates"), numbers.get("statuses")
+    if contest and contest["wrong"]:
+        found.append(f"certified and wrong: cases {contest['wrong']}.")
+    if contest and contest["healthy"] < _HEALTHY:
+        found.append(f"only {100 * contest['healthy']:.1f} % of the healthy cases are certified.")
+    if statuses and statuses["wrong"]:
+        found.append(f"statuses that are not confirmed: {statuses['wrong']}.")
+    for name, life in numbers.get("lives", {}).items():
+        if life["end"] - life["middle"] > _MEGABYTES or life["handles"] > 0:
+            found.append(f"{name}: memory or open files grow: {life}.")
+    for name, torment in numbers.get("kills", {}).items():
+        if torment["different"] or torment["left"]:
+            found.append(f"{name} does not go on as if nothing had happened: {torment}.")
+    return found

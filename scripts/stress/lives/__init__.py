@@ -1,0 +1,1 @@
+"""Long lives of one process: memory and handles stay flat."""

@@ -1,0 +1,23 @@
+"""How much: the quick profile is part of `make test`, the full one takes hours."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Profile:
+    """cases: of the contest; peers take every `every`-th of them. kills: of each program. solves, problems: in one
+    process. statuses: random problems.
+    """
+
+    cases: int
+    every: int
+    kills: int
+    solves: int
+    problems: int
+    statuses: int
+
+
+PROFILES = {
+    "quick": Profile(cases=300, every=10, kills=2, solves=1_000, problems=30, statuses=30),
+    "full": Profile(cases=10_000, every=5, kills=20, solves=100_000, problems=1_000, statuses=1_000),
+}

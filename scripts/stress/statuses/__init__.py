@@ -1,0 +1,1 @@
+"""Solvers' statuses on random problems, confirmed without the package."""

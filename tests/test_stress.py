@@ -1,0 +1,90 @@
+"""The quick profile of `make stress`: generated cases with known answers, statuses, long lives, and kills."""
+
+import sys
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+
+from stress.certificates.contest import count
+from stress.certificates.families import FAMILIES, draw
+from stress.certificates.verdicts import Verdict, healthy
+from stress.kills.campaign import torment
+from stress.kills.programs import PROGRAMS
+from stress.lives import memory
+from stress.peers import casadi_sensitivities
+from stress.peers.program import Program
+from stress.peers.rates import Answer, answer
+from stress.settings import PROFILES
+from stress.statuses import confirmed
+
+from kpirl_ocp import FiniteDifference, Ipopt
+
+QUICK = PROFILES["quick"]
+
+
+@pytest.fixture(scope="module")
+def contest():
+    return count(range(QUICK.cases))
+
+
+def test_no_case_is_certified_and_wrong(contest):
+    assert contest[1] == []
+
+
+def test_most_healthy_cases_are_certified(contest):
+    total = sum(contest[0].values(), Counter())
+    assert healthy(total) >= 0.95
+    assert contest[0].keys() == FAMILIES.keys()
+    assert min(total[verdict] for verdict in (Verdict.RIGHT, Verdict.RIGHTLY_FLAGGED)) >= QUICK.cases // 4
+
+
+def test_known_answers_agree_with_finite_differences():
+    compared = 0
+    for index in (index for index in range(0, 120, 2) if draw(index).due):
+        case = draw(index)
+        method = FiniteDifference(Ipopt(tolerance=1e-12), case.loss, step=1e-4, policy="flag")
+        found = method(case.problem, case.demonstration, case.psi, case.guess)
+        if found.certificate.certified:
+            compared += 1
+            assert case.truth(found.certificate.solution.trajectory).agrees(found.gradient), index
+    assert compared >= 20
+
+
+def test_a_peer_is_judged_by_the_same_answers():
+    """CasADi's own derivative is right on a smooth case; a wrong number is silently wrong, NaN is a refusal."""
+    case = next(case for case in map(draw, range(0, 100, 2)) if case.family == "smooth")
+    gradient, plan = casadi_sensitivities.gradient(Program(case))
+    assert case.truth(plan).agrees(gradient)
+    assert answer(casadi_sensitivities.gradient, case) is Answer.RIGHT
+    assert answer(lambda _: (gradient + 1, plan), case) is Answer.SILENTLY_WRONG
+    assert answer(lambda _: (np.nan * gradient, plan), case) is Answer.REFUSED
+
+
+def test_statuses_of_random_problems_are_confirmed():
+    counts, wrong = confirmed.count(QUICK.statuses)
+    assert wrong == []
+    for name in ("Riccati", "Ipopt"):
+        assert counts[name][confirmed.COLUMNS[0]] >= 0.9 * QUICK.statuses
+
+
+def test_memory_and_handles_of_one_process_stay_flat():
+    lives = memory.measure(QUICK).numbers
+    assert [life["handles"] for life in lives.values()] == [0, 0]
+    solves = lives["solves of one problem"]
+    assert solves["end"] - solves["middle"] < 2  # MB
+
+
+@pytest.mark.parametrize("name", ["data collection", "cost learning"])
+def test_a_program_that_is_killed_goes_on_and_ends_with_the_same_bytes(name, tmp_path):
+    (program,) = (program for program in PROGRAMS if program.name == name)
+    if name == "data collection":
+        for package in ("cv2", "pybullet", "torch"):
+            pytest.importorskip(package)
+        program = replace(program, words=[word.replace("60", "8") for word in program.words])
+    found = torment(program, tmp_path, tmp_path, QUICK.kills)
+    assert (found["different"], found["left"]) == ([], [])
