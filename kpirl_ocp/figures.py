@@ -49,9 +49,31 @@ def colours(names: Iterable[str]) -> dict[str, str]:
     return fixed | {name: left[index % len(left)] for index, name in enumerate(others)}
 
 
-def bands(axes: Axes, curves: Mapping[str, Sequence[Array]], log: bool = True) -> None:
-    """One line per name, the mean over runs, with a band from lowest to highest; a curve that ended keeps its end."""
-    chosen = colours(curves)
+def panels_of_bands(axes: Sequence[Axes], panels: Mapping[str, Mapping[str, Sequence[Array]]], ylabel: str) -> None:
+    """One panel per title, of losses over outer iterations; a name has one colour in all, and one legend is below."""
+    chosen = colours(dict.fromkeys(name for curves in panels.values() for name in curves))
+    for axis, (title, curves) in zip(axes, panels.items(), strict=True):
+        bands(axis, curves, chosen)
+        axis.set(title=title, xlabel="outer iteration", ylabel=ylabel)
+    shared_legend(axes)
+
+
+def shared_legend(axes: Sequence[Axes], columns: int = 4) -> None:
+    """One legend below all axes of a figure, where it hides no line; a name is listed once."""
+    pairs = [pair for axis in axes for pair in zip(*reversed(axis.get_legend_handles_labels()), strict=True)]
+    handles = dict(pairs[::-1])  # of the first axes with the name
+    names = list(dict.fromkeys(name for name, _ in pairs))
+    figure = axes[0].figure
+    figure.legend(
+        [handles[n] for n in names], names, loc="outside lower center", ncols=min(len(names), columns), frameon=False
+    )
+
+
+def bands(axes: Axes, curves: Mapping[str, Sequence[Array]], chosen: Mapping[str, str], log: bool = True) -> None:
+    """One line per name, the mean over runs, with a band from lowest to highest; a curve that ended keeps its end.
+
+    chosen: name -> colour.
+    """
     for name, runs in curves.items():
         colour = chosen[name]
         length = max(map(len, runs))

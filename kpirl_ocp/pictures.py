@@ -38,6 +38,7 @@ STYLE: Mapping[str, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.prop_cycle": "cycler('color', ['{}'])".format("', '".join(COLOURS)),
+    "figure.constrained_layout.h_pad": 0.1,  # [inch], so that no title touches the panel above
     "svg.hashsalt": "kpirl_ocp",  # the same figure gives the same file
 }
 _MOST_LINES = 10  # with a legend entry each
@@ -93,11 +94,17 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.legend(ncols=2 if values.shape[1] > 4 else 1)
 
 
+def svg_file(figure: Figure) -> str:
+    """The content of a file with the figure; the same figure gives the same content."""
+    buffer = io.StringIO()
+    with import_module("matplotlib").rc_context(dict(STYLE)):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()
+
+
 def svg(figure: Figure) -> str:
     """The figure as an element to put into a page; it shrinks with the page."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue()
+    text = svg_file(figure)
     return text[text.index("<svg") :].replace("<svg ", '<svg style="max-width: 100%; height: auto" ', 1)
 
 

@@ -61,10 +61,11 @@ def _plain(value: Any) -> Any:
 
 def plus_minus(mean: float, deviation: float) -> str:
     """Three digits of the mean and two of the deviation, without exponents where both are easily read: 175 ± 140."""
-    return f"{_digits(mean, 3)} ± {_digits(deviation, 2)}"
+    return f"{digits(mean, 3)} ± {digits(deviation, 2)}"
 
 
-def _digits(value: float, count: int) -> str:
+def digits(value: float, count: int) -> str:
+    """A number with so many digits, without an exponent where it is easily read."""
     size = abs(value)
     if not np.isfinite(value) or size == 0 or not 1e-4 <= size < 1e6:
         return f"{value:.{count}g}"

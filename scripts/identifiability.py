@@ -86,7 +86,7 @@ def coverage(
     With one demonstration the intervals are those of data and spread together, with more those of the data alone.
     """
     rng, weights, directions, known = np.random.default_rng([seed, count, goal_seen]), [], [], []
-    for _ in tqdm(range(repetitions), desc=f"coverage, {count} demonstration(s)"):
+    for _ in tqdm(range(repetitions), desc=f"coverage, demonstrations: {count}"):
         psi = experiment.truth(rng)
         places = rng.choice(len(experiment.places), count, replace=False)
         demos = [experiment.demonstrate(experiment.places[i], psi, noise, rng, goal_seen) for i in places]

@@ -17,7 +17,7 @@ from tqdm import tqdm
 from kpirl_ocp import figures
 from kpirl_ocp.irl.cases.tasks import TASKS, write_demonstrations
 from kpirl_ocp.ocp.models import Robot
-from kpirl_ocp.reporting import output_directory, run, table, write_metrics
+from kpirl_ocp.reporting import output_directory, plus_minus, run, table, write_metrics
 
 Results = dict[tuple[str, int], dict[str, Curve]]
 Variants = dict[tuple[str, int], dict[str, Variant]]
@@ -54,7 +54,7 @@ def summary(results: Results) -> list[list[object]]:
             np.array([getattr(c, field)[c.best] for c in curves]) for field in ("test", "distance", "train")
         )
         rises = [np.mean(np.diff(c.train) > 0.01 * c.train[:-1]) if len(c.train) > 1 else 0.0 for c in curves]
-        spreads = (f"{values.mean():.3f} ± {values.std():.3f}" for values in (train, test, distance))
+        spreads = (plus_minus(values.mean(), values.std()) for values in (train, test, distance))
         seconds = np.mean([curve.seconds for curve in curves])
         rows.append([f"{task}: {method}", *spreads, f"{100 * np.mean(rises):.0f} %", f"{seconds:.2f}"])
     return rows
@@ -63,17 +63,16 @@ def summary(results: Results) -> list[list[object]]:
 def draw(results: Results, path: Path) -> Path:
     tasks = [task for task in TASKS if any(name == task for name, _ in results)]
     figure, axes = figures.new_figure(2, len(tasks), width=5.0, height=3.4)
-    for row, field in enumerate(("train", "test")):
-        for column, task in enumerate(tasks):
-            axis = axes[row * len(tasks) + column]
+    panels = {}
+    for field in ("train", "test"):
+        for task in tasks:
             cases = [case for (name, _), case in results.items() if name == task]
             longest = max(len(getattr(curve, field)) for case in cases for curve in case.values())
             curves = {method: [getattr(case[method], field) for case in cases] for method in (*DRAWN, "default")}
             curves["default"] = [np.full(longest, run[0]) for run in curves["default"]]
-            figures.bands(axis, curves)
             what = "training demonstration" if field == "train" else "test demonstrations"
-            axis.set(title=f"{task}: {what}", xlabel="outer iteration", ylabel="IRL loss [m²]")
-    axes[0].legend(fontsize=7)
+            panels[f"{task}: {what}"] = curves
+    figures.panels_of_bands(axes, panels, "IRL loss [m²]")
     return figures.save(figure, path)
 
 

@@ -4,6 +4,8 @@ import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from itertools import pairwise
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -11,10 +13,14 @@ import pytest
 
 from kpirl_ocp import LBFGS, OCP, Demonstration, Implicit, Riccati, learn
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.figures import colours, new_figure, wrapped_figure
-from kpirl_ocp.pictures import COLOURS, GREY, PAGE
+from kpirl_ocp.figures import colours, new_figure, panels_of_bands, wrapped_figure
+from kpirl_ocp.pictures import COLOURS, GREY, PAGE, svg_file
 from kpirl_ocp.reporting import plus_minus
 from kpirl_ocp.viewing.plots import plot
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+from reproduction.drawing import bars, success
+from reproduction.page import Page
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +129,53 @@ def test_a_cost_has_the_same_colour_in_every_figure():
     chosen = colours(["ours", "Weighted", "theirs", "TimeDep"])
     assert len(set(chosen.values())) == 4
     assert set(chosen.values()) <= set(COLOURS)
+
+
+def test_a_name_has_one_colour_in_all_panels_and_one_entry_in_a_legend_that_hides_no_line():
+    figure, axes = new_figure(1, 2)
+    one, two = {"ours": [np.ones(3)], "Weighted": [np.ones(3)]}, {"Weighted": [np.ones(4)], "theirs": [np.ones(2)]}
+    panels_of_bands(axes, {"train": one, "test": two}, "loss")
+    shown = [{line.get_label(): line.get_color() for line in axis.lines} for axis in axes]
+    assert shown[0]["Weighted"] == shown[1]["Weighted"] == COLOURS[0]
+    assert shown[0]["ours"] != shown[1]["theirs"]
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["ours", "Weighted", "theirs"]
+    figure.draw_without_rendering()
+    assert all(not legend.get_window_extent().overlaps(axis.get_tightbbox()) for axis in axes)
+
+
+def test_the_same_figure_gives_the_same_file(solution):
+    assert svg_file(plot(solution)) == svg_file(plot(solution))
+
+
+@pytest.mark.parametrize("groups", [2, 16])
+def test_names_of_bars_do_not_touch(groups):
+    values = {"all dimensions": np.ones(3), "x of moving keypoints": np.ones(3)}
+    panels = {"1 demonstration": {f"TimeDep, more steps, start {i}": values for i in range(groups)}}
+    figure = bars(panels | {"10 demonstrations": panels["1 demonstration"]}, "relative distance")
+    figure.draw_without_rendering()
+    assert figure.get_figwidth() <= PAGE
+    for axis in figure.axes:
+        boxes = [label.get_window_extent() for label in axis.get_yticklabels()]
+        assert not any(one.overlaps(two) for one, two in pairwise(boxes))
+    assert all(box.x0 >= 0 for box in boxes)
+
+
+def test_the_legend_of_many_bars_stays_on_the_page():
+    rates = {f"TimeDep, more steps, loop {i}": 0.5 for i in range(6)}
+    figure = success({"as trained": rates, "another start": rates}, "within 8 px")
+    figure.draw_without_rendering()
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0
+    assert box.x1 <= figure.bbox.x1
+
+
+def test_a_table_aligns_numbers_to_the_right_and_text_to_the_left(tmp_path):
+    page = Page("A report")
+    page.table(["4 costs", "loss", "here"], [["4, Alg. 1", "0.3 ± 0.1", "differs: 1 of 3"], ["5", "", "same"]])
+    written = page.write(tmp_path / "report.html").read_text()
+    assert '<th>4 costs</th><th class="number">loss</th><th>here</th>' in written
+    assert '<td>5</td><td class="number"></td><td>same</td>' in written
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,7 @@ ROWS = (
     Row(
         "5.1.1",
         "Relative distance with all three learned costs is considerably less than with both baselines.",
-        claims=("Reaching, 1 demonstration(s), one step", "Reaching, 10 demonstration(s), one step"),
+        claims=("Reaching, 1 demonstration, one step", "Reaching, 10 demonstrations, one step"),
     ),
     Row("5.1.1", "One demonstration does about as well as ten.", claims=("Reaching, one step: one demonstration",)),
     Row("5.1.1", "All learned costs give relatively small weights to y.", claims=("Reaching: ",)),
@@ -126,7 +126,7 @@ ROWS = (
     Row(
         "5.1.1",
         "The baseline's weights are much smaller, with a similar structure, and it performs far worse.",
-        claims=("Reaching, 1 demonstration(s), one step", "Reaching: Apprenticeship gives y less"),
+        claims=("Reaching, 1 demonstration, one step", "Reaching: Apprenticeship gives y less"),
     ),
     Row(
         "5.2",

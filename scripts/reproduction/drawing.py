@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from kpirl_ocp.figures import bands, colours, new_figure, wrapped_figure
+from kpirl_ocp.figures import colours, new_figure, panels_of_bands, shared_legend, wrapped_figure
 from kpirl_ocp.pictures import COLOURS
 from kpirl_ocp.types import Array, Mask
 
@@ -19,17 +19,16 @@ Runs = Mapping[str, Sequence[Array]]
 
 def curves(panels: Mapping[str, Runs], ylabel: str) -> Figure:
     """Lines with bands over seeds, one panel per title."""
-    figure, axes = wrapped_figure(len(panels), width=4.6)
-    for axis, (title, runs) in zip(axes, panels.items(), strict=True):
-        bands(axis, {name: values for name, values in runs.items() if len(values)})
-        axis.set(title=title, xlabel="outer iteration", ylabel=ylabel)
-        axis.legend()
+    figure, axes = wrapped_figure(len(panels), width=4.8)
+    learned = {title: {name: runs for name, runs in lines.items() if len(runs)} for title, lines in panels.items()}
+    panels_of_bands(axes, learned, ylabel)
     return figure
 
 
-def bars(panels: Mapping[str, Mapping[str, Mapping[str, Array]]], ylabel: str) -> Figure:
-    """Grouped bars, mean and standard deviation: panel -> group along the axis -> colour -> values over seeds."""
-    figure, axes = wrapped_figure(len(panels), width=10.0, height=3.4)
+def bars(panels: Mapping[str, Mapping[str, Mapping[str, Array]]], xlabel: str) -> Figure:
+    """Grouped bars, mean and standard deviation: panel -> group, one below the other -> colour -> values over seeds."""
+    most = max(map(len, panels.values()))
+    figure, axes = wrapped_figure(len(panels), width=4.8, height=1.4 + 0.3 * most)
     for axis, (title, groups) in zip(axes, panels.items(), strict=True):
         names = list(dict.fromkeys(name for bars in groups.values() for name in bars))
         chosen, width = colours(names), 0.8 / len(names)
@@ -38,12 +37,12 @@ def bars(panels: Mapping[str, Mapping[str, Mapping[str, Array]]], ylabel: str) -
             values = [np.asarray(bars[name], float) for bars in groups.values()]
             values = [v if len(v) else np.full(1, np.nan) for v in values]  # not learned: no bar
             means, spreads = [v.mean() for v in values], [v.std() for v in values]
-            axis.bar(places, means, 0.9 * width, yerr=spreads, color=chosen[name], label=name, capsize=2)
-        axis.set_xticks(range(len(groups)), [name.replace(", ", ",\n") for name in groups], rotation=30, ha="right")
-        axis.set(title=title, ylabel=ylabel)
-        axis.margins(y=0.3)  # for the legend
-        axis.grid(alpha=0.3, axis="y")
-        axis.legend()
+            axis.barh(places, means, 0.9 * width, xerr=spreads, color=chosen[name], label=name, capsize=2)
+        axis.set_yticks(range(len(groups)), list(groups))
+        axis.invert_yaxis()  # the first on top
+        axis.set(title=title, xlabel=xlabel)
+        axis.grid(alpha=0.3, axis="x")
+    shared_legend(axes)
     return figure
 
 
@@ -101,5 +100,5 @@ def success(table: Mapping[str, Mapping[str, float]], threshold: str) -> Figure:
     axis.set_xticks(range(len(table)), [textwrap.fill(name, 16) for name in table])
     axis.set(ylabel=f"success: {threshold} [%]", ylim=(0, 115))
     axis.grid(alpha=0.3, axis="y")
-    figure.legend(loc="outside lower center", ncols=len(names))
+    shared_legend([axis], columns=3)
     return figure

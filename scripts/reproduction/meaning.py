@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from kpirl_ocp.reporting import plus_minus
 from kpirl_ocp.types import Array
 from reproduction import axes, background, drawing
 from reproduction.drawing import Bars
@@ -90,7 +91,7 @@ def _axis_intervals(runs: Runs, contender: Contender) -> list[str]:
         value = np.mean([w[:, axis::2].mean() for w in runs(contender, "weights")])
         reach = np.mean([run[axis] for run in runs(contender, "axis_halfwidths")])
         known = np.mean([run[axis] for run in runs(contender, "axes_determined")]) > 0.5
-        text = f"{value:.3g} ± {reach:.2g}"
+        text = plus_minus(float(value), float(reach))
         cells.append(text if known else f"({text})")
     return cells
 

@@ -24,6 +24,7 @@ from reproduction.learning import (
 )
 from reproduction.settings import STARTS, Preset
 from reproduction.sweep import Result
+from reproduction.tables import demonstrations
 
 # An inner loop's name, what was learned with it, and what that is compared with.
 _LOOPS = (
@@ -119,7 +120,7 @@ def _nearer(
         {c.label: _mean(outcome.reaching(c, count, "distance")) for c in group} for group in (learned, others)
     )
     names = " and ".join(theirs)
-    text = f"Reaching, {count} demonstration(s), {loop}: all learned costs end nearer to the goal than {names}."
+    text = f"Reaching, {demonstrations(count)}, {loop}: all learned costs end nearer to the goal than {names}."
     numbers = f"{_list(ours)}; {_list(theirs)} (relative distance)"
     return Claim(text, max(ours.values()) < min(theirs.values()), numbers)
 
@@ -138,7 +139,7 @@ def axis_weights(weights: Array) -> tuple[float, float]:
 def _y_is_small(outcome: Outcome, contender: Contender, count: int) -> Claim:
     pairs = [axis_weights(weights) for weights in outcome.reaching(contender, count, "weights")]
     x, y = np.mean(pairs, axis=0)
-    text = f"Reaching: {contender.label} gives y less weight than x, {count} demonstration(s)."
+    text = f"Reaching: {contender.label} gives y less weight than x, {demonstrations(count)}."
     return Claim(text, bool(abs(y) < x), f"x {x:.3g}, y {y:.3g} (mean weight)")
 
 

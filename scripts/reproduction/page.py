@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
-import io
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,18 +12,20 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from kpirl_ocp.episodes import atomic_write
+from kpirl_ocp.pictures import svg_file
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}</title><style>
 body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }}
 table {{ border-collapse: collapse; margin: 1rem 0; font-size: 0.9rem; }}
-th, td {{ border-bottom: 1px solid #ccc; padding: 0.25rem 0.7rem; text-align: right; }}
-th:first-child, td:first-child {{ text-align: left; }}
+th, td {{ border-bottom: 1px solid #ccc; padding: 0.25rem 0.7rem; text-align: left; vertical-align: top; }}
+.number {{ text-align: right; }} td.number {{ white-space: nowrap; }}
 .wide {{ overflow-x: auto; }} nav ul {{ padding-left: 1.2rem; }} nav .level3 {{ margin-left: 1.2rem; }}
 img {{ max-width: 100%; height: auto; }} figure {{ margin: 1.5rem 0; }}
 figcaption, .note {{ color: #555; font-size: 0.9rem; }}
 pre {{ background: #f5f5f5; padding: 0.7rem; overflow-x: auto; font-size: 0.8rem; }}
+@media (max-width: 45rem) {{ .wide img {{ max-width: none; }} }} /* figures keep the size of their text */
 </style></head><body>
 <h1>{title}</h1>
 <nav><ul>{contents}</ul></nav>
@@ -52,9 +54,11 @@ class Page:
         self._parts.append(f"<p>{html.escape(text)}</p>")
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[Any]], note: str = "") -> None:
-        """A table; numbers get four digits."""
-        lines = ["".join(f"<th>{html.escape(name)}</th>" for name in header)]
-        lines += ["".join(f"<td>{html.escape(_cell(value))}</td>" for value in row) for row in rows]
+        """A table; numbers get four digits. All columns of text begin at the left, and the first one in any case."""
+        cells = [[_cell(value) for value in row] for row in rows]
+        columns = enumerate(zip(header, *cells, strict=True))
+        kinds = [' class="number"' if place and _numeric(column[1:]) else "" for place, column in columns]
+        lines = [_row("th", header, kinds), *(_row("td", row, kinds) for row in cells)]
         table = "".join(f"<tr>{line}</tr>" for line in lines)
         self._parts.append(f'<div class="wide"><table>{table}</table></div>')
         if note:
@@ -62,14 +66,11 @@ class Page:
 
     def figure(self, figure: Figure, caption: str) -> None:
         """A figure."""
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-        self._figures.append(buffer.getvalue())
-        data = base64.b64encode(buffer.getvalue()).decode()
-        text = html.escape(caption)
-        self._parts.append(
-            f'<figure><img alt="{text}" src="data:image/svg+xml;base64,{data}"><figcaption>{text}</figcaption></figure>'
-        )
+        drawn = svg_file(figure).encode()
+        self._figures.append(drawn)
+        text, data = html.escape(caption), base64.b64encode(drawn).decode()
+        image = f'<div class="wide"><img alt="{text}" src="data:image/svg+xml;base64,{data}"></div>'
+        self._parts.append(f"<figure>{image}<figcaption>{text}</figcaption></figure>")
 
     def listing(self, text: str) -> None:
         """Text as it is."""
@@ -88,6 +89,17 @@ class Page:
             )
         path.chmod(0o644)
         return path
+
+
+def _row(tag: str, cells: Sequence[str], kinds: Sequence[str]) -> str:
+    pairs = zip(cells, kinds, strict=True)
+    return "".join(f"<{tag}{kind}>{html.escape(cell)}</{tag}>" for cell, kind in pairs)
+
+
+def _numeric(column: Sequence[str]) -> bool:
+    """Most of its cells that are not empty are numbers, maybe with a unit."""
+    filled = [cell for cell in column if cell]
+    return 2 * sum(bool(re.match(r"\(?-?\d", cell)) and len(cell) < 24 for cell in filled) > len(filled)
 
 
 def _cell(value: Any) -> str:

@@ -29,7 +29,7 @@ from reproduction.learning import (
 from reproduction.outcome import Outcome, claims, restlessness
 from reproduction.page import Page
 from reproduction.settings import PAPER_LOOP, STARTS
-from reproduction.tables import per_seed, spread
+from reproduction.tables import demonstrations, per_seed, spread
 
 # Table 1 of the paper: mean and standard deviation of the squared distance, in its own unit.
 _PAPER = {
@@ -122,14 +122,14 @@ def _reaching(page: Page, outcome: Outcome) -> None:
     shown = (*UNROLLED, APPRENTICE)
     contenders = (*shown, *LITERAL, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT)
     panels = {
-        f"{count} demonstration(s), train": {c.label: outcome.reaching(c, count, "losses") for c in shown}
+        f"{demonstrations(count)}, train": {c.label: outcome.reaching(c, count, "losses") for c in shown}
         for count in counts
     }
     page.figure(drawing.curves(panels, _LOSS), "IRL loss over training; bands from lowest to highest seed")
     page.figure(
         drawing.curves(
             {
-                f"{count} demonstration(s), {name}": {c.cost: outcome.reaching(c, count, "losses") for c in group}
+                f"{demonstrations(count)}, {name}": {c.cost: outcome.reaching(c, count, "losses") for c in group}
                 for name, group in (("more steps", MORE_STEPS), ("implicit", IMPLICIT))
                 for count in counts
             },
@@ -139,7 +139,7 @@ def _reaching(page: Page, outcome: Outcome) -> None:
     )
     both = {"all dimensions": "distance", "x of moving keypoints": "distance_x"}
     bars = {
-        f"{count} demonstration(s), test": {
+        f"{demonstrations(count)}, test": {
             c.label: {name: per_seed(outcome.reaching(c, count, key)) for name, key in both.items()} for c in contenders
         }
         for count in counts
@@ -151,9 +151,9 @@ def _reaching(page: Page, outcome: Outcome) -> None:
         return outcome.reaching(contender, most, key)
 
     for name, group in (("one step", UNROLLED), ("more steps", MORE_STEPS), ("converged", IMPLICIT)):
-        caption = f"{name}: learned weights per keypoint (colour) and axis, {most} demonstration(s), mean over time"
+        caption = f"{name}: learned weights per keypoint (colour) and axis, {demonstrations(most)}, mean over time"
         meaning.figure(page, runs, group, halves=False, caption=caption)
-    meaning.known(page, runs, f"reaching, {most} demonstration(s)")
+    meaning.known(page, runs, f"reaching, {demonstrations(most)}")
     rows = [
         [
             f"{c.label}, {count}",
@@ -200,7 +200,7 @@ def _placing(page: Page, outcome: Outcome) -> None:
     page.heading("Experiment 2: placing from one human demonstration (paper, section 5.2)")
     panels = {
         "one step": {c.label: outcome.placing(c, "losses") for c in UNROLLED},
-        "small start": {c.label: outcome.placing(c, "losses") for c in SMALL_START},
+        "small start": {c.cost: outcome.placing(c, "losses") for c in SMALL_START},
         "more steps": {c.cost: outcome.placing(c, "losses") for c in MORE_STEPS},
         "implicit": {c.cost: outcome.placing(c, "losses") for c in IMPLICIT},
     }

@@ -78,7 +78,7 @@ def image_strips(columns: Mapping[str, tuple[Frames, Array, Array]], times: Sequ
             here, there = to_pixels(keypoints[row], size), to_pixels(np.reshape(goal, (-1, 2)), size)
             for colour, (x, y), (goal_x, goal_y) in zip(COLOURS, here, there, strict=False):
                 axis.scatter(goal_x, goal_y, s=46, facecolors="none", edgecolors=colour, linewidths=1.3)
-                axis.scatter(x, y, s=15, color=colour)
+                axis.scatter(x, y, s=20, color=colour, edgecolors="white", linewidths=0.6)  # told apart where they meet
             axis.set(xticks=[], yticks=[], xlim=(0, size), ylim=(size, 0))
         axes[0, column].set_title(title, fontsize=9)
     for row, time in enumerate(times):
