@@ -1,7 +1,7 @@
 """Imitation with learned dynamics: one detector sees the person and the arm, and a network says how its keypoints move.
 
 The arm is that of a recording (the dynamics were learned from such), for which a plan is written; without a recording
-it is the iiwa of the scene, which also does it: plan, move, look, plan again.
+it is the iiwa of the scene, which also does it.
 """
 
 from __future__ import annotations
@@ -30,15 +30,17 @@ from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.perception.data.recordings import read_arm_film
 from kpirl_ocp.perception.detector.detector import KeypointDetector
+from kpirl_ocp.perception.detector.keypoints import to_pixels
 from kpirl_ocp.perception.detector.track_images import keypoint_paths
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant
 from kpirl_ocp.perception.plant.starts import placing_starts
+from kpirl_ocp.perception.scene.camera import Camera
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.perception.tracking.tracks import Tracks
 from kpirl_ocp.reporting import table, write_metrics
 from kpirl_ocp.types import Array, Demonstration, Solution
 
-_SIDE = 240  # of the pictures in which paths are drawn [pixels]
+_SIDE = Camera().height  # [pixels]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +85,11 @@ def imitate(args: Namespace, tracks: Tracks) -> int:
     learned = _learn(dynamics, demonstrations[0], args.iterations)
     controller = KeypointController.build(dynamics, learned.planning)
     plans = [controller.plan(demo.s0, demo.context).raise_if_failed() for demo in demonstrations]
-    paths = [plan.states[:, : dynamics.n_z] for plan in plans]
-    seen = [] if args.recording else arms
-    done = [_execute(detector, controller, arm, demo) for arm, demo in zip(seen, demonstrations, strict=False)]
+    files = [_as_file(plan, dynamics) for plan in plans]
+    paths = [plan.keypoints.reshape(len(plan.keypoints), -1) for plan in files]
+    done = [] if args.recording else [_execute(detector, plan.joints, _rate(dynamics)) for plan in files]
     planned, executed = (list(map(_distance, ways, demonstrations)) for ways in (paths, done))
-    write_episode(args.out / "plan.npz", _as_file(plans[0], dynamics))
+    write_episode(args.out / "plan.npz", files[0])
     print(f"plan:    {args.out / 'plan.npz'}")
     print(f"figure:  {_draw(args.out / 'paths.png', demonstrations, done or paths)}")
     _report(args, learned, planned, executed)
@@ -138,18 +140,28 @@ def _recorded(detector: KeypointDetector, path: Path) -> SeenArm:
 
 
 def _in_scene(detector: KeypointDetector, person: KeypointTrack, args: Namespace) -> list[SeenArm]:
-    """The iiwa where the person began, and its other starts near there."""
-    places = (person.keypoints[..., :2].mean(axis=1) + 1) / 2 * _SIDE
-    rng = np.random.default_rng([args.seed, 7])
-    starts = [placing_starts(detector, places, rng) for _ in range(args.starts)]
+    """The iiwa with its keypoints where the person's began, and its other starts near there."""
+    places, rng = _middles(person.keypoints), np.random.default_rng([args.seed, 7])
+    off = _middles(placing_starts(detector, places, rng).keypoints) - places[0]  # keypoints are not the bottle's middle
+    starts = [placing_starts(detector, places - off, rng) for _ in range(args.starts)]
     return [SeenArm(start.keypoints, start.joints[0]) for start in starts]
 
 
-def _execute(detector: KeypointDetector, controller: KeypointController, arm: SeenArm, demo: Demonstration) -> Array:
-    """The path (T+1, n_z) of the keypoints that the arm in the scene comes through."""
-    with Scene(rate=round(_rate(controller.dynamics))) as scene:
-        scene.reset(arm.joints)
-        return positions(controller.run(CameraPlant(scene, detector), demo.context).keypoints)
+def _middles(keypoints: Array) -> Array:
+    """(..., 2) middles of keypoints (..., K, 3) [pixels of the scene's camera]."""
+    return to_pixels(keypoints.mean(axis=-2), _SIDE)
+
+
+def _execute(detector: KeypointDetector, joints: Array, rate: float) -> Array:
+    """The keypoints (T+1, n_z) that are seen while the arm in the scene follows joints (T+1, n_joints) [rad]."""
+    with Scene(rate=round(rate)) as scene:
+        scene.reset(joints[0])
+        plant = CameraPlant(scene, detector)
+        sights = [plant.look()]
+        for target in joints[1:]:
+            plant.act(target - sights[-1].joints)
+            sights.append(plant.look())
+    return positions([sight.keypoints for sight in sights])
 
 
 def _as_file(plan: Solution, dynamics: NetworkDynamics) -> Plan:
