@@ -15,7 +15,7 @@ pytest.importorskip("cv2")
 
 from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.errors import ModelError
-from kpirl_ocp.reporting import plus_minus
+from kpirl_ocp.reporting import digits
 
 ROOT = Path(__file__).parents[1]
 
@@ -56,7 +56,7 @@ def test_the_report_shows_the_numbers_of_metrics_json(reproduced):
     metrics = json.loads((out / "metrics.json").read_text())
     jobs = metrics["results"]["jobs"]
     default = jobs["placing-executed/Default-0-1-open"]["squared"]
-    assert plus_minus(float(default), 0.0) in (out / "report.html").read_text()
+    assert f'<td class="number">{digits(float(default), 3)}</td>' in (out / "report.html").read_text()
     assert {claim["holds"] for claim in metrics["results"]["claims"]} <= {True, False}
     assert metrics["versions"]["casadi"]
 
