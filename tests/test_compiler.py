@@ -2,6 +2,8 @@
 
 import os
 import shutil
+import subprocess
+import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +13,10 @@ import numpy as np
 import pytest
 from problems import pendulum
 
-from kpirl_ocp import GradientDescent
+from kpirl_ocp import OCP, GradientDescent, Riccati, Status
+from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.ocp.codegen import compiler as native
+from kpirl_ocp.ocp.codegen import library_cache
 from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels
 
 needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")
@@ -147,12 +151,12 @@ def test_the_cache_is_bounded_and_forgets_what_was_not_used_for_longest(cache, m
     os.utime(first, ns=(0, 10**18))
     os.utime(second, ns=(0, 10**18 + 1))
     native.compiled(polynomial(2.0))  # using it makes it the younger one
-    monkeypatch.setattr(native, "_CACHE_BYTES", int(2.5 * first.stat().st_size))
+    monkeypatch.setattr(library_cache, "_CACHE_BYTES", int(2.5 * first.stat().st_size))
     native.compiled(polynomial(4.0))
     assert first.exists()
     assert not second.exists()
     assert len(list(cache.iterdir())) == 2
-    monkeypatch.setattr(native, "_CACHE_BYTES", 1)
+    monkeypatch.setattr(library_cache, "_CACHE_BYTES", 1)
     assert float(native.compiled(polynomial(5.0))([1, 1, 1], 1)[1][0]) == 5  # the newest always stays
     assert len(list(cache.iterdir())) == 1
 
@@ -230,7 +234,7 @@ def test_without_the_variable_the_cache_is_in_the_home_directory(value, monkeypa
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     if value is not None:
         monkeypatch.setenv("XDG_CACHE_HOME", value)
-    assert native.cache_directory() == Path.home() / ".cache" / "kpirl_ocp"
+    assert library_cache.cache_directory() == Path.home() / ".cache" / "kpirl_ocp"
 
 
 @needs_compiler
@@ -246,3 +250,135 @@ def test_when_compiling_fails_the_function_itself_is_returned_with_a_warning(fau
     words = "too tired" if fault == "compiler fails" else "File exists|Not a directory"
     with pytest.warns(RuntimeWarning, match=words):
         assert native.compiled(function) is function
+
+
+DAMAGE = {
+    "truncated": lambda content: content[: len(content) // 2],
+    "truncated by a byte": lambda content: content[:-1],
+    "empty": lambda content: b"",
+    "damaged": lambda content: content[:1000] + bytes([content[1000] ^ 1]) + content[1001:],
+    "a text": lambda content: b"no library",
+    "not sealed": lambda content: content[:-64],
+}
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", DAMAGE)
+def test_a_library_that_is_not_as_it_was_built_is_built_again(name, cache):
+    native.compiled(polynomial())
+    (library,) = cache.iterdir()
+    whole = library.read_bytes()
+    library.unlink()  # it is mapped by this process: the damaged one is another file
+    library.write_bytes(DAMAGE[name](whole))
+    library.chmod(0o700)
+    assert float(native.compiled(polynomial())([1, 2, 3], 2)[0]) == 28
+    assert library_cache.sound(library)
+    assert list(cache.iterdir()) == [library]
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", DAMAGE)
+def test_stage_functions_are_compiled_again_where_their_library_is_not_as_it_was_built(name, cache):
+    """In a process of its own each time: a truncated library would end it."""
+    code = (
+        "import casadi as ca; from kpirl_ocp import OCP, Riccati; s, u = ca.SX.sym('s'), ca.SX.sym('u');"
+        "ocp = OCP.from_expressions(state=s, action=u, dynamics=s + u, stage_cost=s**2 + u**2, horizon=3);"
+        "print(Riccati(compile=True).solve(ocp, [1.0]).status.name)"
+    )
+    command = [sys.executable, "-W", "error", "-c", code]
+    for _ in range(2):
+        result = subprocess.run(command, capture_output=True, text=True, check=True)
+        assert result.stdout.strip() == "CONVERGED"
+        (library,) = cache.iterdir()
+        assert library_cache.sound(library)
+        library.write_bytes(DAMAGE[name](library.read_bytes()))
+
+
+BROKEN = {
+    "junk": (
+        'while [ $# -gt 0 ] && [ "$1" != -o ]; do shift; done; [ $# = 0 ] || echo junk > "$2"',
+        "wrote no shared library",
+    ),
+    "nothing": ("exit 0", "wrote no shared library"),
+    "fails": ("echo too tired >&2; exit 1", "too tired"),
+    "hangs": ("sleep 100", "did not end within 0.5 s"),
+}
+
+
+@pytest.fixture
+def broken_compiler(tmp_path, monkeypatch):
+    """A `cc` that answers about itself and then does something else, or does not even answer."""
+
+    def make(words, answers=True):
+        native.identity.cache_clear()
+        about = 'case "$*" in *-dM*) exit 0;; esac\n' if answers else ""
+        (tmp_path / "cc").write_text(f"#!/bin/sh\n{about}{words}\n")
+        (tmp_path / "cc").chmod(0o755)
+        monkeypatch.setattr(native, "PATIENCE", 0.5)
+        monkeypatch.setattr(native, "compiler", lambda: str(tmp_path / "cc"))
+        monkeypatch.setattr(native, "find_compiler", lambda: str(tmp_path / "cc"))
+        return str(tmp_path / "cc")
+
+    yield make
+    native.identity.cache_clear()
+
+
+@pytest.mark.parametrize("answers", [True, False])
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_compiler_is_named_and_nothing_of_it_is_kept(name, answers, cache, broken_compiler):
+    words, sentence = BROKEN[name]
+    command = broken_compiler(words, answers)
+    function = polynomial(name="unlucky")
+    with pytest.warns(RuntimeWarning, match=sentence):
+        assert native.compiled(function) is function
+    assert not cache.exists() or list(cache.iterdir()) == []
+    folder = cache.parent / "folder"
+    folder.mkdir(parents=True)
+    (folder / "code.c").write_text("int x;")
+    with pytest.raises(CompilerError, match=sentence):
+        native.compile_folder(folder, (), command, ["code.c"])
+
+
+@pytest.mark.parametrize("answers", [True, False])
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_compiler_leaves_riccati_on_the_virtual_machine_with_a_warning(name, answers, cache, broken_compiler):
+    broken_compiler(BROKEN[name][0], answers)
+    s, u = ca.SX.sym("s"), ca.SX.sym("u")
+    problem = OCP.from_expressions(state=s, action=u, dynamics=s + u, stage_cost=s**2 + u**2, horizon=3)
+    with pytest.warns(RuntimeWarning, match="virtual machine"):
+        assert Riccati(compile=True).solve(problem, [1.0]).status is Status.CONVERGED
+    assert Riccati(compile=True).solve(problem, [2.0]).status is Status.CONVERGED
+    assert not cache.exists() or list(cache.iterdir()) == []
+
+
+@needs_compiler
+@pytest.mark.parametrize("mode", [0o770, 0o707, 0o777])
+def test_a_cache_that_others_may_write_is_refused(mode, cache):
+    cache.mkdir(parents=True)
+    cache.chmod(mode)
+    function = polynomial()
+    with pytest.warns(RuntimeWarning, match="others than this user may write .*chmod go-w"):
+        assert native.compiled(function) is function
+    assert list(cache.iterdir()) == []
+
+
+@needs_compiler
+@pytest.mark.parametrize("mode", [0o720, 0o702])
+def test_a_library_that_others_may_write_is_built_again(mode, cache):
+    native.compiled(polynomial())
+    (library,) = cache.iterdir()
+    library.chmod(mode)
+    before = library.stat().st_ino
+    native.compiled(polynomial())
+    assert library.stat().st_ino != before
+    assert library.stat().st_mode & 0o077 == 0
+
+
+@needs_compiler
+def test_a_library_of_another_user_is_built_again(cache, monkeypatch):
+    native.compiled(polynomial())
+    (library,) = cache.iterdir()
+    assert library_cache.sound(library)
+    mine = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: mine + 1)
+    assert library_cache.sound(library) is (mine == 0)  # root's are trusted

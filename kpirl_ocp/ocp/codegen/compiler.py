@@ -1,22 +1,19 @@
-"""The system's C compiler, with a cache of shared libraries by content.
+"""The system's C compiler.
 
 `compiled` turns a CasADi function into machine code; without a compiler it returns the function itself (CasADi's
-virtual machine), with one warning for the process. `compile_folder` compiles the C of an exported solver.
-
-The cache is shared between processes and bounded: beyond `_CACHE_BYTES` the libraries that were not used for longest
-are removed.
+virtual machine), with one warning for the process. `compile_folder` compiles the C of an exported solver. Libraries are
+kept in `library_cache`.
 """
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -24,6 +21,7 @@ import casadi as ca
 
 from kpirl_ocp.errors import CompilerError, FileError
 from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels
+from kpirl_ocp.ocp.codegen.library_cache import cached, seal, sound
 
 # No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order. The -fno flags only promise
 # that nobody reads errno or traps floating-point exceptions; with them loops become vector instructions. CasADi writes
@@ -42,7 +40,7 @@ FLAGS = (
 # Those of the exported CMakeLists.txt, for any processor of its kind; and for this one alone.
 EXPORT_FLAGS = ("-std=c99", "-O3", "-fno-math-errno", "-fno-trapping-math")
 EXPORT_FLAGS_NATIVE = (*EXPORT_FLAGS, "-march=native", "-ffp-contract=fast")
-_CACHE_BYTES = 512 * 2**20
+PATIENCE = 600.0  # [s] after which a compiler is taken to hang
 
 
 def compiled(function: ca.Function) -> ca.Function:
@@ -63,22 +61,23 @@ def compile_all(functions: Sequence[ca.Function]) -> list[ca.Function]:
     for _ in range(2):  # another process may remove the library before it is loaded
         try:
             library = _library(command, name, source)
-        except (OSError, subprocess.CalledProcessError) as error:
-            warn_slow(f"{command} could not compile {name} ({_words(error)})")
+        except (OSError, CompilerError) as error:
+            warn_slow(f"{command} could not compile {name} ({_first_line(error)})")
             return list(functions)
         try:
             return [ca.external(function.name(), str(library)) for function in functions]
         except RuntimeError:
             if library.exists():
-                raise
+                library.unlink()
+                warn_slow(f"{command} made a library of {name} that cannot be loaded")
+                return list(functions)
     warn_slow(f"other processes keep removing {library}")
     return list(functions)
 
 
-def _words(error: OSError | subprocess.CalledProcessError) -> str:
-    """The compiler's first words, or those of the system."""
-    said = error.stderr.strip() if isinstance(error, subprocess.CalledProcessError) else ""
-    return said.splitlines()[0] if said else str(error)
+def _first_line(error: OSError | CompilerError) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__
 
 
 def _library(compiler: str, name: str, source: str) -> Path:
@@ -112,40 +111,8 @@ def compile_folder(folder: Path, flags: Sequence[str], compiler: str | None, nam
     key = "\0".join([*texts, compiler, identity(compiler), *options])
     try:
         return cached(folder.name or "controller", key, lambda target: link(compiler, options, sources, target))
-    except subprocess.CalledProcessError as error:
-        raise CompilerError(f"{compiler} could not compile {folder}{os.sep}*.c: {error.stderr}") from error
-
-
-def cached(name: str, key: str, build: Callable[[Path], None]) -> Path:
-    """The library with this key: from the cache, marked as used, or built by `build(path)`."""
-    library = cache_directory() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
-    try:
-        os.utime(library)
-    except FileNotFoundError:
-        build(library)
-        _evict(library)
-    except PermissionError:
-        pass  # a shared cache that may only be read
-    return library
-
-
-def _evict(newest: Path) -> None:
-    """Remove the libraries that were not used for longest, until the cache fits; never the newest."""
-    libraries = []
-    for path in newest.parent.glob("*.so"):
-        with contextlib.suppress(FileNotFoundError):  # removed by another process meanwhile
-            libraries.append((path.stat().st_mtime_ns, path.stat().st_size, path))
-    excess = sum(size for _, size, _ in libraries) - _CACHE_BYTES
-    for _, size, path in sorted(libraries):
-        if excess > 0 and path != newest:
-            path.unlink(missing_ok=True)
-            excess -= size
-
-
-def cache_directory() -> Path:
-    """The directory of compiled code: $XDG_CACHE_HOME/kpirl_ocp, by default ~/.cache/kpirl_ocp."""
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(root) / "kpirl_ocp"
+    except CompilerError as error:
+        raise CompilerError(f"{compiler} could not compile {folder}{os.sep}*.c: {error}") from error
 
 
 def find_compiler() -> str | None:
@@ -171,8 +138,28 @@ def warn_slow(reason: str) -> None:
 @lru_cache(maxsize=4)
 def identity(compiler: str) -> str:
     """Version and the processor that -march=native resolves to: a cache on a shared disk must not mix them."""
-    command = [compiler, "-march=native", "-E", "-dM", "-x", "c", os.devnull]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return _run([compiler, "-march=native", "-E", "-dM", "-x", "c", os.devnull])
+
+
+def _run(command: Sequence[str]) -> str:
+    """What a compiler prints.
+
+    Raises:
+        CompilerError: with its own words when it fails, or when it hangs; it is ended then, with what it has started.
+    """
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen(command, **pipes, text=True, start_new_session=True)  # type: ignore[call-overload]
+    try:
+        printed, errors = process.communicate(timeout=PATIENCE)
+    except BaseException as error:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        if isinstance(error, subprocess.TimeoutExpired):
+            raise CompilerError(f"{command[0]} did not end within {PATIENCE:g} s.") from error
+        raise
+    if process.returncode:
+        raise CompilerError(errors or f"{command[0]} ended with exit code {process.returncode}.")
+    return str(printed)
 
 
 def _build(compiler: str, source: str, library: Path) -> None:
@@ -184,11 +171,17 @@ def _build(compiler: str, source: str, library: Path) -> None:
 
 
 def link(compiler: str, flags: Sequence[str], sources: Sequence[Path], library: Path) -> None:
-    """Compile beside the target and rename: another process sees the whole library or none."""
+    """Compile beside the target and rename: another process sees the whole library or none.
+
+    Raises:
+        CompilerError: the compiler fails, hangs, or writes something else.
+    """
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
         built = Path(scratch) / "built.so"
-        subprocess.run(
-            [compiler, *flags, *map(str, sources), "-o", str(built), "-lm"], check=True, capture_output=True, text=True
-        )
+        _run([compiler, *flags, *map(str, sources), "-o", str(built), "-lm"])
+        if built.exists():
+            seal(built)
+        if not built.exists() or not sound(built):
+            raise CompilerError(f"{compiler} wrote no shared library.")
         built.replace(library)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import CompilerError, ProblemError
 from kpirl_ocp.ocp.codegen.c_structures import SETTINGS, Structures, address
 from kpirl_ocp.ocp.codegen.compiler import EXPORT_FLAGS_NATIVE, compile_folder
 from kpirl_ocp.ocp.export.manifest import check, read, takes_schedules
@@ -55,7 +55,11 @@ class ExportedSolver:
         self.manifest = read(self.folder)
         self.structures = Structures.of(self.manifest["problem"], any("_FLOAT" in flag for flag in flags))
         self._prefix = self.manifest["prefix"]
-        self._library = ctypes.CDLL(str(compile_folder(self.folder, flags, compiler, self.manifest["sha256"])))
+        path = compile_folder(self.folder, flags, compiler, self.manifest["sha256"])
+        try:
+            self._library = ctypes.CDLL(str(path))
+        except OSError as error:
+            raise CompilerError(f"the compiler made a library that cannot be loaded: {error}.") from error
         self._function("size").restype = ctypes.c_size_t
         for name in ("message", "version"):
             self._function(name).restype = ctypes.c_char_p

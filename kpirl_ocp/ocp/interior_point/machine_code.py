@@ -9,8 +9,8 @@ are compiled before the first solve, or never.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
-import hashlib
 import subprocess
 import sys
 import tempfile
@@ -21,7 +21,9 @@ from typing import Literal
 
 import casadi as ca
 
+from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.ocp.codegen import compiler
+from kpirl_ocp.ocp.codegen.library_cache import place, sound
 from kpirl_ocp.ocp.codegen.numpy_calls import Build, worth_compiling
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
@@ -49,9 +51,21 @@ class MachineCode:
     def addresses(self) -> dict[str, int] | None:
         """The functions' addresses by name if the library is there; never waits."""
         if self._addresses is None and self._path is not None and self._path.exists():
-            library = ctypes.CDLL(str(self._path))
-            self._addresses = {f.name(): _address(library, f.name()) for f in self._functions}
+            self._addresses = self._load(self._path)
         return self._addresses
+
+    def _load(self, path: Path) -> dict[str, int] | None:
+        try:
+            if sound(path):
+                library = ctypes.CDLL(str(path))
+                return {f.name(): _address(library, f.name()) for f in self._functions}
+        except FileNotFoundError:  # removed by another process
+            return None
+        except (OSError, AttributeError):
+            pass
+        path.unlink(missing_ok=True)
+        self._give_up(f"the compiler made a library {path} that cannot be loaded")
+        return None
 
     def begin(self) -> None:
         """Start a compiler in the background, unless the library is there or on its way."""
@@ -63,9 +77,12 @@ class MachineCode:
             return
         flags = compiler.FLAGS if self._kernels else FLAGS
         source = self._source()
-        key = "\0".join([source, command, compiler.identity(command), *flags])
-        self._path = compiler.cache_directory() / f"stages-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
-        if not self._path.exists():
+        try:
+            self._path = place("stages", "\0".join([source, command, compiler.identity(command), *flags]))
+        except (OSError, CompilerError) as error:
+            self._give_up(f"{command} cannot be used ({error})")
+            return
+        if not _there(self._path):
             self._process = _start(command, flags, source, self._path)
 
     def wait(self) -> None:
@@ -77,8 +94,11 @@ class MachineCode:
         if self._process.poll() is None and operations > _LONG:
             print(f"compiling {operations} operations of {self._functions[0].name()} (once) ...", file=sys.stderr)
         if self._process.wait():
-            self._given_up = True
-            compiler.warn_slow(f"the compiler could not make {self._path}")
+            self._give_up(f"the compiler could not make {self._path}")
+
+    def _give_up(self, reason: str) -> None:
+        self._given_up, self._path, self._process = True, None, None
+        compiler.warn_slow(reason)
 
     def _source(self) -> str:
         generator = ca.CodeGenerator("stages.c")
@@ -88,15 +108,32 @@ class MachineCode:
         return compiler.with_fast_kernels(source) if self._kernels else source
 
 
+def _there(library: Path) -> bool:
+    """Whether a library is in the cache; what is not sound is removed."""
+    with contextlib.suppress(FileNotFoundError):
+        if sound(library):
+            return True
+        library.unlink()
+    return False
+
+
+# Seals the library as `library_cache.seal` does, and goes on when this process has ended.
+_SCRIPT = """
+folder=$1; target=$2; patience=$3; shift 3; trap 'rm -rf "$folder"' EXIT
+timeout -k 1 "$patience" "$@" && digest=$(sha256sum < "$0") && printf %s "${digest%% *}" >> "$0" &&
+chmod 700 "$0" && mv "$0" "$target"
+"""
+
+
 def _start(command: str, flags: Sequence[str], source: str, library: Path) -> subprocess.Popen[bytes]:
     """Compile beside the target and rename: whoever looks sees the whole library or none."""
-    library.parent.mkdir(parents=True, exist_ok=True)
     folder = tempfile.mkdtemp(dir=library.parent)
     code, built = Path(folder) / "code.c", Path(folder) / "built.so"
     code.write_text(source)
-    script = 'trap "rm -rf $1" EXIT; target=$2; shift 2; "$@" && mv "$0" "$target"'
-    line = ["sh", "-c", script, str(built), folder, str(library), command, *flags, str(code), "-o", str(built), "-lm"]
-    return subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    arguments = [str(built), folder, str(library), f"{compiler.PATIENCE:g}"]
+    words = [command, *flags, str(code), "-o", str(built), "-lm"]
+    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    return subprocess.Popen(["sh", "-c", _SCRIPT, *arguments, *words], **silent)  # type: ignore[call-overload]
 
 
 def _address(library: ctypes.CDLL, name: str) -> int:
