@@ -1,4 +1,4 @@
-"""Keypoints that surroundings do not move, by domain randomisation (Tobin et al., 2017), still without labels.
+"""Keypoints that surroundings do not move, by domain randomisation (Tobin et al., 2017), without labels of places.
 
 A teacher, trained before the white wall, says where the keypoints of a rendered frame are. A student with the same
 weights sees the frame before another wall, in other colours and light, and is to find them at the same places:
