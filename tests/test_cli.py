@@ -278,6 +278,19 @@ def test_an_own_problem_is_solved_and_its_numbers_are_written(own, tmp_path):
     assert (tmp_path / "out/plan.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_plan_of_an_arm_is_written_for_rerun(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    sentence = '`kpirl solve` needs rerun, which is not installed: pip install "kpirl-ocp[rerun]".'
+    monkeypatch.delitem(sys.modules, "kpirl_ocp.viewing.rerun_file", raising=False)
+    assert refusal(["solve", "--horizon", "2", "--rerun"], capsys) == sentence
+    monkeypatch.undo()
+    pytest.importorskip("rerun")
+    result = kpirl("solve", "--horizon", "2", "--rerun", "--out", tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "plan.rrd").read_bytes()[:3] == b"RRF"
+
+
 def test_every_solver_finds_the_same_plan_of_an_own_problem(own, tmp_path):
     objectives = []
     for solver in ("riccati", "ipopt", "fatrop", "sqp"):

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import casadi as ca
@@ -98,6 +99,22 @@ def test_any_number_of_threads_gives_the_same_numbers(threads):
     gradients = [torch.autograd.grad(p.actions.square().sum(), inputs) for p in (plan, other)]
     for one, two in zip(*gradients, strict=True):
         assert torch.equal(one, two)
+
+
+class Meeting:
+    """A solver that begins once as many threads as there are instances are here, or fails."""
+
+    def __init__(self, count):
+        self.everyone = threading.Barrier(count)
+
+    def solve(self, *given):
+        self.everyone.wait(timeout=60)
+        return Riccati().solve(*given)
+
+
+def test_instances_of_a_batch_are_solved_at_the_same_time():
+    problem, inputs = batch("pendulum", count=4)
+    assert OCPLayer(problem, Meeting(4), threads=4)(*inputs).solved.all()
 
 
 def test_a_former_plan_is_a_guess():

@@ -34,7 +34,7 @@ COMMANDS = (
     "train-robust",
     "train-dynamics",
 )
-EXTRAS = {"av": "perception", "cv2": "perception", "pybullet": "perception", "torch": "perception", "onnx": "onnx"}
+EXTRAS = dict.fromkeys(("av", "cv2", "pybullet", "torch"), "perception") | {"onnx": "onnx", "rerun": "rerun"}
 USAGE = """usage: kpirl COMMAND [OPTIONS]
 
 Learn a cost over keypoints from demonstrations, and plan with it.

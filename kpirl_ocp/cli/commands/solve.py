@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from kpirl_ocp import figures
+from kpirl_ocp import figures, viewing
 from kpirl_ocp.cli.options.solve import ARM
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.cost_files import robot_called
@@ -25,6 +25,8 @@ from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.ocp.solvers.sqp import SQP
 from kpirl_ocp.reporting import table, write_metrics
 from kpirl_ocp.types import Array, Solution
+
+_RATE = 5.0  # [Hz] at which a plan is shown
 
 
 def main(args: Namespace) -> int:
@@ -68,6 +70,8 @@ def _solve_arm(args: Namespace) -> tuple[Solution, list[tuple[str, object]], Pat
     keypoints, joints, _ = np.split(solution.states, [goal.size, goal.size + robot.n_joints], axis=1)
     distance = np.linalg.norm((keypoints - goal).reshape(args.horizon + 1, -1, 3), axis=2)
     rows = [*_audit(solution), ("distance to the goal [m]", float(distance[-1].mean()))]
+    if args.rerun:
+        viewing.write_rerun(args.out / "plan.rrd", robot, joints, _RATE, goal)
     return solution, rows, _draw_arm(solution, distance, joints, args.max_displacement, args.out / "plan.png")
 
 
@@ -116,7 +120,7 @@ def _lines(axis: Axes, values: Array, label: str, **settings: object) -> None:
         axis.plot(column, marker=".", label=label.format(index + 1))
     axis.set(xlabel="time step", **settings)
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=6, ncols=2)
+    axis.legend(fontsize=8, ncols=2)
 
 
 def _actions(axis: Axes, actions: Array, bounds: Array, **settings: object) -> None:

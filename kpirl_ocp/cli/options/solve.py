@@ -17,7 +17,15 @@ from argparse import ArgumentParser
 from kpirl_ocp.cli.values import one_of, own_function, real, whole
 
 SOLVERS = ("riccati", "ipopt", "fatrop", "sqp", "gradient")
-ARM = {"robot": "iiwa", "move": [0.1, 0.0, -0.2], "horizon": 10, "effort": 0.1, "max_displacement": 0.2, "tool": None}
+ARM = {
+    "robot": "iiwa",
+    "move": [0.1, 0.0, -0.2],
+    "horizon": 10,
+    "effort": 0.1,
+    "max_displacement": 0.2,
+    "tool": None,
+    "rerun": False,
+}
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -33,3 +41,4 @@ def add_options(parser: ArgumentParser) -> None:
     arm.add_argument("--horizon", type=whole(1), help="time steps T (default: 10)")
     arm.add_argument("--effort", type=real(least=0), help="weight rho of |u|² (default: 0.1)")
     arm.add_argument("--max-displacement", type=real(above=0), help="per joint and step [rad] (default: 0.2)")
+    arm.add_argument("--rerun", action="store_true", default=None, help="write plan.rrd as well, for the Rerun viewer")
