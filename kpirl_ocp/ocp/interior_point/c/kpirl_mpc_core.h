@@ -116,6 +116,7 @@ typedef struct kpirl_mpc_core {
   double started;
   int iterations, trials, idle; /* idle: iterations since `best` was halved */
   int lifted;                  /* are steps lifted, or along the dynamics? */
+  int no_costates;             /* are they zero because nothing is known about them? */
   int failed;                  /* has a function reported an error? */
 } kpirl_mpc_core;
 
@@ -200,6 +201,7 @@ void kpirl_mpc_path_push(const kpirl_mpc_core *core, const real *matrix, int row
 
 /* start */
 void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x);
+void kpirl_mpc_estimate_costates(kpirl_mpc_core *core);
 void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, real tau);
 
 /* derivatives */

@@ -12,7 +12,7 @@ void kpirl_mpc_start_filter(kpirl_mpc_core *core) {
   kpirl_mpc_filter *filter = &core->filter;
   const real theta = core->d.violation;
   const int n_w = kpirl_mpc_n_point(core);
-  filter->largest = (real)1e4 * kpirl_mpc_larger(1, theta);
+  filter->largest = (real)1e2 * kpirl_mpc_larger(1, theta);
   filter->small = (real)1e-4 * kpirl_mpc_larger(1, theta);
   filter->feasible = ROUNDING * ((real)n_w + kpirl_mpc_absolute_sum(core->at.x, n_w));
   filter->count = 0;

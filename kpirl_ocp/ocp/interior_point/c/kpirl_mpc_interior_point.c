@@ -226,6 +226,7 @@ static void begin(kpirl_mpc_core *core, const kpirl_mpc_start *start, int warm) 
       tau = start_tau(core);
     }
   }
+  core->no_costates = !warm;
   begin_here(core, tau);
 }
 

@@ -6,6 +6,7 @@
 
 #include <string.h>
 
+static const real LARGEST = (real)1e3; /* costates, relative to the gradient */
 static const real PUSH = (real)0.4; /* how far a cold start is moved inside its bounds, relative to size and distance */
 
 /* x inside its bounds (Waechter and Biegler, 2006, section 3.6), and onto them where they coincide. */
@@ -58,6 +59,22 @@ void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x) {
   evaluate_inequalities(core);
   for (i = 0; i < bounds; ++i) at->y[i] = -core->d.g[i];
   for (i = 0; i < m - bounds; ++i) at->y[bounds + i] = kpirl_mpc_larger(-core->d.path[i], PUSH * size_of_row(core, i));
+}
+
+/* Costates for which the Lagrangian is stationary by s_1 .. s_T, by the adjoint recursion from those of zero; unless they would be
+ * too large to be of use (Waechter and Biegler, 2006, section 3.6). */
+void kpirl_mpc_estimate_costates(kpirl_mpc_core *core) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
+  const real *gradient = core->d.gradient;
+  real *costates = core->at.costates;
+  int t;
+  for (t = T; t > 0; --t) {
+    real *costate = costates + (t - 1) * n_s;
+    memcpy(costate, gradient + t * n_x, (size_t)n_s * sizeof(real));
+    if (t < T) kpirl_mpc_transposed_times_vector(core->d.F + t * n_s * n_x, n_s, n_s, costate + n_s, costate);
+  }
+  if (!(kpirl_mpc_largest(costates, T * n_s) <= LARGEST * kpirl_mpc_largest(gradient, kpirl_mpc_n_point(core))))
+    memset(costates, 0, (size_t)(T * n_s) * sizeof(real));
 }
 
 void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, real tau) {
