@@ -155,3 +155,18 @@ def test_rounding_of_constraints_keeps_no_warm_start_that_only_needs_multipliers
     found = solver.solve(problem, [0, 0], psi + change, guess=guess)
     assert found.status is Status.CONVERGED
     assert found.iterations <= 5
+
+
+def test_running_cost_as_a_state_costs_no_more_iterations_than_as_stage_costs():
+    """Mayer's form has no Hessian but that of the dynamics, weighed with costates that a start does not know."""
+    s, u = ca.SX.sym("s", 3), ca.SX.sym("u")
+    step, cost = 2 / 100, (s[0] ** 2 + s[1] ** 2 + u**2) / 2
+    speed = (1 - s[0] ** 2) * s[1] - s[0] + u
+    moved = ca.vertcat(s[0] + step * s[1], s[1] + step * speed)
+    given = {"state": s, "action": u, "horizon": 100}
+    mayer = OCP.from_expressions(**given, dynamics=ca.vertcat(moved, s[2] + step * cost), terminal_cost=s[2])
+    lagrange = OCP.from_expressions(**given, dynamics=ca.vertcat(moved, s[2]), stage_cost=step * cost)
+    first, second = (Riccati().solve(problem, [1, 0, 0]) for problem in (mayer, lagrange))
+    assert first.status is second.status is Status.CONVERGED
+    assert first.objective == pytest.approx(second.objective, rel=1e-9)
+    assert first.iterations <= second.iterations + 3

@@ -116,6 +116,7 @@ typedef struct kpirl_mpc_core {
   double started;
   int iterations, trials, idle; /* idle: iterations since `best` was halved */
   int lifted;                  /* are steps lifted, or along the dynamics? */
+  int held;                    /* was tau held where the Hessian was not positive? */
   int no_costates;             /* are they zero because nothing is known about them? */
   int failed;                  /* has a function reported an error? */
 } kpirl_mpc_core;
@@ -255,7 +256,8 @@ void kpirl_mpc_harden(kpirl_mpc_core *core);
 typedef enum { KPIRL_MPC_NOT_RESTORED, KPIRL_MPC_RESTORED, KPIRL_MPC_SHOWN_INFEASIBLE } kpirl_mpc_restoration;
 kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core);
 
-/* one solve: is the time over? A line of the log */
+/* one solve: the tau to start from here; is the time over? A line of the log */
+real kpirl_mpc_start_tau(const kpirl_mpc_core *core);
 int kpirl_mpc_core_late(const kpirl_mpc_core *core);
 void kpirl_mpc_log_iteration(const kpirl_mpc_core *core);
 

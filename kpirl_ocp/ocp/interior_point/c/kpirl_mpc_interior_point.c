@@ -129,7 +129,7 @@ static int idle(kpirl_mpc_core *core) {
 }
 
 /* Where the barrier weighs as a share of the objective: its gradient times the harmonic mean of the slacks, in any units. */
-static real start_tau(const kpirl_mpc_core *core) {
+real kpirl_mpc_start_tau(const kpirl_mpc_core *core) {
   const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
   const real gradient = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
   real inverse = 0;
@@ -144,6 +144,7 @@ static void begin_here(kpirl_mpc_core *core, real tau) {
   int i;
   core->tau = core->start_tau = core->indefinite_tau = tau;
   core->most_violation = core->most_gradient = 0;
+  core->held = 0;
   for (i = 0; i < m; ++i) core->at.z[i] = kpirl_mpc_larger(core->at.z[i], tau / core->at.y[i]);
   core->regularisation = 0;
   core->step.positive = 0; /* there was no step yet */
@@ -162,7 +163,7 @@ static kpirl_mpc_status converge(kpirl_mpc_core *core) {
     if (solved(core)) {
       const int left = to_be_examined(core) ? kpirl_mpc_escape(core) : 0;
       if (left <= 0) return left ? KPIRL_MPC_NOT_A_MINIMUM : KPIRL_MPC_CONVERGED;
-      begin_here(core, core->options.barrier > 0 ? core->tau : kpirl_mpc_larger(core->tau, start_tau(core)));
+      begin_here(core, core->options.barrier > 0 ? core->tau : kpirl_mpc_larger(core->tau, kpirl_mpc_start_tau(core)));
       continue;
     }
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
@@ -223,7 +224,7 @@ static void begin(kpirl_mpc_core *core, const kpirl_mpc_start *start, int warm) 
     kpirl_mpc_cold_start(core, start->x);
     if (barrier <= 0) {
       kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
-      tau = start_tau(core);
+      tau = kpirl_mpc_start_tau(core);
     }
   }
   core->no_costates = !warm;

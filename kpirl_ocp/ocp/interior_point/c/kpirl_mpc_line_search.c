@@ -89,10 +89,13 @@ static int move_along(kpirl_mpc_core *core, real least) {
   return 0;
 }
 
-/* tau for Newton steps where the Hessian is not positive: back to where it was when that began, lowered only as the barrier
- * problems are solved (Waechter and Biegler, 2006, section 2.1). A tau that a predictor chose on the way leaves no room to turn. */
+/* tau for Newton steps where the Hessian is not positive: back to where it was when that began, or would start here, lowered
+ * only as the barrier problems are solved (Waechter and Biegler, 2006, section 2.1). A tau that a predictor chose on the way
+ * leaves no room to turn. */
 static void hold_tau(kpirl_mpc_core *core, real least) {
   const real before = core->tau;
+  if (!core->held) core->indefinite_tau = kpirl_mpc_larger(kpirl_mpc_start_tau(core), core->indefinite_tau);
+  core->held = 1;
   core->tau = kpirl_mpc_larger(core->tau, core->indefinite_tau);
   if (kpirl_mpc_subproblem_solved(core)) {
     const real lower = kpirl_mpc_smaller((real)0.2 * core->tau, kpirl_mpc_power(core->tau, (real)1.5));
