@@ -53,7 +53,7 @@ print([name for name in heavy if name in sys.modules])
 
 
 # Scripts that run the experiments of this repository; all others must work with the installed package alone.
-EXPERIMENTS = {"benchmark.py", "reproduce_paper.py", "simulation_study.py"}
+EXPERIMENTS = {"benchmark.py", "reproduce_paper.py", "simulation_study.py", "stress_test.py"}
 
 
 def test_scripts_that_users_run_lean_on_the_package_alone():
