@@ -7,7 +7,7 @@ Times that are free are static decisions.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -19,24 +19,25 @@ Ode = Callable[[ca.SX, ca.SX], ca.SX]
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """A discretised problem, where it starts, and a guess of its plan."""
+    """A discretised problem, where it starts, a guess of its plan, the sign of its objective, and its parameters."""
 
     problem: OCP
     s0: np.ndarray
     guess: Trajectory | None = None
     sign: float = 1.0
+    psi: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
 class Reference:
     """A problem of the literature.
 
-    optimum: published value. digits: relative error of the discretisation with `steps` steps.
+    optimum: published value, None if there is none. digits: relative error of the discretisation with `steps` steps.
     """
 
     name: str
     source: str
-    optimum: float
+    optimum: float | None
     digits: float
     steps: int
     build: Callable[[int], Instance]
@@ -54,6 +55,11 @@ def rk4(ode: Ode, s: ca.SX, u: ca.SX, step: ca.SX | float) -> ca.SX:
 def line(first: list[float], last: list[float], steps: int, n_u: int) -> Trajectory:
     """States on a line, and no action."""
     return Trajectory(np.linspace(first, last, steps + 1), np.zeros((steps, n_u)))
+
+
+def until_the_end(lower: list[float], steps: int) -> np.ndarray:
+    """Lower bounds (T+1, n_s) of all states but the last, which equalities give."""
+    return np.vstack([np.tile(lower, (steps, 1)), np.full(len(lower), -np.inf)])
 
 
 def bryson_denham(steps: int) -> Instance:
@@ -102,7 +108,7 @@ def moon_lander(steps: int) -> Instance:
         dynamics=ca.vertcat(s[0] + h * s[1] + h**2 / 2 * (u - 1.5), s[1] + h * (u - 1.5)),
         stage_cost=h * u,
         action_bounds=(0, 3),
-        state_bounds=([0, -np.inf], np.inf),
+        state_bounds=(until_the_end([0, -np.inf], steps), np.inf),
         terminal_equality=s,
     )
     return Instance(problem, np.array([10.0, -2.0]), line([10, -2, 5], [0, 0, 5], steps, 1))
@@ -161,15 +167,15 @@ def goddard(steps: int) -> Instance:
         static_bounds=(0.02, 1),
         horizon=steps,
         dynamics=rk4(ode, s, u, time / steps),
-        terminal_cost=-s[0],
+        terminal_cost=-1000 * s[0],
         action_bounds=(0, 3.5),
-        state_bounds=([1, 0, 0.6], [np.inf, np.inf, 1]),
+        state_bounds=(until_the_end([1, 0, -np.inf], steps), np.inf),  # u >= 0 and the last mass bound the mass
         terminal_equality=s[2] - 0.6,
     )
     share = np.linspace(0, 1, steps + 1)
     states = np.stack([1 + 0 * share, share * (1 - share), 1 - 0.4 * share, 0.2 + 0 * share], axis=1)
     guess = Trajectory(states, np.full((steps, 1), 1.75))
-    return Instance(problem, np.array([1.0, 0.0, 1.0]), guess, sign=-1.0)
+    return Instance(problem, np.array([1.0, 0.0, 1.0]), guess, sign=-1e-3)
 
 
 def robot_arm(steps: int) -> Instance:
@@ -297,7 +303,7 @@ def least_energy(steps: int) -> Instance:
     return Instance(problem, np.zeros(2))
 
 
-REFERENCES = [
+CLASSICS = [
     Reference("linear-quadratic", "closed form", np.tanh(1) / 2, 1e-4, 100, linear_quadratic),
     Reference("Bryson-Denham", "Bryson and Denham (1962)", 4.0, 2e-3, 120, bryson_denham),
     Reference("double integrator, minimum time", "closed form", 2.0, 1e-7, 40, minimum_time),
