@@ -163,7 +163,7 @@ def reference(case: Case) -> HypergradientResult:
         ("free_integrator", "implicit", 5e-12),
         ("free_integrator", "implicit_descent", 5e-12),
         ("free_integrator", "unrolled", 5e-12),
-        ("free_iiwa", "implicit", 1e-10),  # to which its solver solves; solved further, the gradient follows
+        ("free_iiwa", "implicit", 6e-11),
         ("free_iiwa", "implicit_riccati", 1e-11),
         ("free_iiwa", "implicit_tight", 1e-11),
         ("free_iiwa", "implicit_descent", 5e-11),

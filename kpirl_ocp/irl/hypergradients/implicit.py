@@ -76,10 +76,13 @@ def differentiate(
 ) -> HypergradientResult:
     """Loss, implicit gradient and certificate at a solution that any solver found; read the certificate.
 
+    Where Newton steps polish the solution (`SensitivityCertificate.distance`), the loss is that of the polished plan.
+
     derivatives: at the solution, where the solver ended with them.
     """
-    at = LossAt(problem, loss, data_of(loss, problem, demonstration), solution.trajectory)
-    found = sensitivity(problem, solution, "flag", derivatives).pull_by_stage(at.slopes)
+    derivative = sensitivity(problem, solution, "flag", derivatives)
+    at = LossAt(problem, loss, data_of(loss, problem, demonstration), derivative.plan)
+    found = derivative.pull_by_stage(at.slopes)
     certificate, more = found.certificate, (nonfinite_failures(at.value, found.psi), at.kinks)
     if any(more):
         certificate = replace(certificate, failures=(*more[0], *certificate.failures, *more[1]))

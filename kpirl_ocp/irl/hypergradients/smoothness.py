@@ -16,7 +16,7 @@ from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.certificate import KINK
 from kpirl_ocp.ocp.sensitivity.evidence import loss_at, parameter_jump
-from kpirl_ocp.types import Array, Solution, Trajectory
+from kpirl_ocp.types import Array, Solution
 
 LOSS_KINK = "The loss or the observation sits on a kink at this plan: use smooth ones (squares, softplus, tanh)."
 PARAMETER_KINK = "Costs, constraints or dynamics have a kink or a jump at these parameters: use smooth ones."
@@ -28,8 +28,8 @@ class LossAt:
     value: of the loss. slopes: (n_w,) by the plan, in the order of time.
     """
 
-    def __init__(self, problem: OCP, loss: Loss, data: Array, plan: Trajectory) -> None:
-        x = by_stage(plan.states, plan.actions)
+    def __init__(self, problem: OCP, loss: Loss, data: Array, x: Array) -> None:
+        """x: the plan (n_w,) in the order of time."""
         self.value, self.slopes, self._kink = loss_at(problem, _loss_and_slopes(loss), data.T, x)
 
     @property

@@ -151,16 +151,19 @@ KKT = _structure(
     numbers=Numbers,
     point=Triple,
     adjoint=Triple,
+    move=Triple,
     barrier=REAL,
     **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "softest"), POINTER),
     spare=Factors,
-    **dict.fromkeys(("matrices", "work"), POINTER),
-    **dict.fromkeys(("lowest", "qualification", "step", "margin"), REAL),
-    **dict.fromkeys(("factored", "stepped"), INT),
+    **dict.fromkeys(("origin", "matrices", "work"), POINTER),
+    **dict.fromkeys(("lowest", "qualification", "step", "margin", "distance"), REAL),
+    **dict.fromkeys(("factored", "immovable", "conditioned", "stepped", "reached"), INT),
 )
 Evidence = _structure(
     "Evidence",
-    **dict.fromkeys(("curvature", "qualification", "step", "margin", "change", "kink", "linear_residual"), REAL),
+    **dict.fromkeys(
+        ("curvature", "qualification", "distance", "step", "margin", "change", "kink", "linear_residual"), REAL
+    ),
 )
 SolutionArrays = _structure(
     "SolutionArrays",
@@ -179,8 +182,8 @@ _OF_SYSTEMS = {
     "kkt_evaluate": 2,
     "kkt_take": 2,
     "kkt_select": 2,
-    "kkt_factor": 1,
-    "kkt_newton": 2,
+    "kkt_condition": 1,
+    "kkt_step": 1,
     "kkt_solve": 3,
     "kkt_adjoint": 2,
     "kkt_change": 4,

@@ -19,11 +19,11 @@ from kpirl_ocp.types import Mask, Solution, Status
 Policy = Literal["raise", "flag"]
 
 # Every bound sits well above what rounding and a solver tolerance of 1e-10 leave behind, and well below what a healthy
-# problem shows.
+# problem shows. All but that of the KKT residual are on relative numbers, so that no unit counts.
 KKT_RESIDUAL = 1e-6
 CURVATURE = 1e-8
 QUALIFICATION = 1e-5
-STEP = 1e-4
+STEP = 1e-5
 MARGIN = 1e-6
 CHANGE = 1e-4
 KINK = 1e-3
@@ -70,7 +70,9 @@ class SensitivityCertificate(Certificate):
         its size an estimate from above. Infinite when the active constraints leave no freedom.
     qualification: smallest singular value of the active Jacobian with rows of length one (LICQ); infinite when nothing
         is active.
-    step: length of a Newton step on the KKT conditions with this active set, relative: the error of the solution.
+    distance: from the solution to the point that was differentiated, relative: Newton steps polish what a solver's
+        tolerance leaves, which is much where the unit of the cost is large.
+    step: length of a further Newton step on the KKT conditions with this active set, relative: the error there.
     margin: smallest multiplier of an active and slack of an inactive row after that step (strict complementarity), each
         relative to what it balances or is made of; infinite without inequalities.
     change: relative change under that step of the adjoint; for a tangent, of the adjoint of a function whose slope it
@@ -85,6 +87,7 @@ class SensitivityCertificate(Certificate):
     kkt_residual: float
     curvature: float
     qualification: float
+    distance: float
     step: float
     margin: float
     change: float
@@ -96,7 +99,7 @@ class SensitivityCertificate(Certificate):
 
 def undefined(solution: Solution, active: Mask) -> SensitivityCertificate:
     """The certificate where derivatives are NaN or infinite."""
-    names = ("curvature", "qualification", "step", "margin", "change", "kink", "linear_residual")
+    names = ("curvature", "qualification", "distance", "step", "margin", "change", "kink", "linear_residual")
     return SensitivityCertificate(
         solution=solution,
         failures=(
@@ -127,13 +130,13 @@ _AT_MOST = (
     (
         "step",
         STEP,
-        "A Newton step still moves the solution by {:.1e}: solve to a tighter tolerance, or scale the cost up.",
+        "A Newton step still moves the solution by {:.1e}: solve to a tighter tolerance.",
     ),
     (
         "change",
         CHANGE,
         "A Newton step changes the adjoint by {:.1e} of itself: the solution is too far from exact, or about to jump; "
-        "solve to a tighter tolerance, rescale the cost, or add effort weight.",
+        "solve to a tighter tolerance, or add effort weight.",
     ),
     (
         "kink",

@@ -24,6 +24,7 @@ class Evidence(NamedTuple):
 
     curvature: float
     qualification: float
+    distance: float
     step: float
     margin: float
     change: float

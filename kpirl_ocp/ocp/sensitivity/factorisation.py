@@ -23,7 +23,7 @@ class Factorisation:
 
     def __init__(self, system: KKTSystem) -> None:
         self._system, self._library = system, c.library()
-        self._library.kpirl_mpc_kkt_factor(system.address)
+        self._library.kpirl_mpc_kkt_condition(system.address)
         self.curvature = float(system.structure.lowest)
         self.qualification = float(system.structure.qualification)
 
@@ -34,9 +34,8 @@ class Factorisation:
 
     def newton_step(self) -> PrimalDual:
         """The Newton step on the KKT conditions; it need not be exact to tell how far the solution is."""
-        move = self._empty()
-        self._library.kpirl_mpc_kkt_newton(self._system.address, move.address)
-        return move.point
+        self._library.kpirl_mpc_kkt_step(self._system.address)
+        return self._system.read(self._system.structure.move)
 
     def solve(self, right: PrimalDual, s0: Array) -> tuple[PrimalDual, float]:
         """x, lambda and mu for (r, d, c) and given entries of s_0, and the relative residual.

@@ -114,9 +114,12 @@ class KKTSystem:
     @property
     def point(self) -> PrimalDual:
         """Where it is taken."""
-        names = ("x", "costates", "forces")
-        sizes = zip(names, self.sizes_of_parts, strict=True)
-        return PrimalDual(*(c.read(getattr(self.structure.point, name), size) for name, size in sizes))
+        return self.read(self.structure.point)
+
+    def read(self, triple: Any) -> PrimalDual:
+        """A copy of a structure `kpirl_mpc_triple`."""
+        sizes = zip(("x", "costates", "forces"), self.sizes_of_parts, strict=True)
+        return PrimalDual(*(c.read(getattr(triple, name), size) for name, size in sizes))
 
     def stand(self, point: PrimalDual) -> None:
         """Set the point; derivatives are still those of another."""
@@ -141,7 +144,10 @@ class KKTSystem:
         self.finite = bool(self._library.kpirl_mpc_kkt_select(self.address, address))
 
     def linearise_at(self, solution: Solution, core: Core, derivatives: StageDerivatives | None) -> None:
-        """All of these for a solution of the instance; derivatives that are not known are found by a core."""
+        """All of these for a solution of the instance, polished by Newton steps where it is not exact (`distance`).
+
+        Derivatives that are not known are found by a core.
+        """
         arrays, _kept = _arrays_of(solution)
         known = None
         if derivatives is not None:

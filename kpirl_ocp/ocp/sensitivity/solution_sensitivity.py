@@ -101,6 +101,12 @@ class Sensitivity:
         states, actions = self.problem.as_states(by_states), self.problem.as_actions(by_actions)
         return self.pull_by_stage(by_stage(states, actions))
 
+    @property
+    def plan(self) -> Array:
+        """(n_w,) what is differentiated, in the order of time: the solution, or where Newton steps lead from it."""
+        with borrow_core(self.problem) as core:
+            return self._linearised(core).system.point.x
+
     def pull_by_stage(self, slope: Array) -> Gradients:
         """`pull` of a slope (n_w,) in the order of time, (s_0, u_0, s_1, .., s_T)."""
         with borrow_core(self.problem) as core:

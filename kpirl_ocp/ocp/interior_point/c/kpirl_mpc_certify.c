@@ -2,10 +2,10 @@
  *
  * The gradients of a function of a solution, and the evidence for them.
  *
- * A solution is only known to the solver's tolerance, so the active set was guessed, and second derivatives were taken beside the
- * true solution. One Newton step on the KKT conditions leads (quadratically) closer to it: the step itself must be small, and
- * every multiplier of an active row and slack of an inactive one positive after it; and the adjoint, solved again after it,
- * must be the same. The step is lengthened by 1e-9 along the softest direction, because no solution is known better than
+ * A solution is only known to some tolerance, so the active set was guessed, and second derivatives were taken beside the true
+ * solution. One Newton step on the KKT conditions leads (quadratically) closer to it: the step itself must be small, and every
+ * multiplier of an active row and slack of an inactive one positive after it; and the adjoint, solved again after it, must be
+ * the same. The step is lengthened by 1e-9 along the softest direction, because no solution is known better than
  * that: at a fold or a flat minimum the adjoint then explodes.
  */
 #include "kpirl_mpc_kkt.h"
@@ -68,8 +68,8 @@ static void copy_triple(const kpirl_mpc_system *s, const kpirl_mpc_triple *from,
 /* How the adjoint of a slope changes where a Newton step leads to. */
 static real find_change(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const real *slope,
                         const kpirl_mpc_triple *adjoint) {
-  if (!k->stepped) {
-    kpirl_mpc_kkt_step(k, nearby);
+  if (!k->reached) {
+    kpirl_mpc_kkt_reach(k, nearby);
     kpirl_mpc_kkt_evaluate(nearby, core);
     kpirl_mpc_kkt_select_nearby(nearby, k->system.active);
   }
@@ -83,8 +83,9 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
   const int n_w = kpirl_mpc_system_n_point(&k->system);
   kpirl_mpc_triple *adjoint = &k->adjoint;
   int finite;
-  kpirl_mpc_kkt_factor(k);
+  kpirl_mpc_kkt_condition(k);
   evidence->linear_residual = kpirl_mpc_kkt_adjoint(k, slope);
+  evidence->distance = k->distance;
   evidence->curvature = k->lowest;
   evidence->qualification = k->qualification;
   evidence->step = evidence->change = evidence->kink = (real)INFINITY;

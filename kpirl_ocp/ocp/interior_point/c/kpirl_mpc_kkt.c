@@ -81,6 +81,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
   take_factors(&from, s, &k->spare);
   take_triple(&from, s, &k->point);
   take_triple(&from, s, &k->adjoint);
+  take_triple(&from, s, &k->move);
   k->gradient = take(&from, n_w);
   k->defects = take(&from, (size_t)(s->horizon * s->n_states));
   k->slack = take(&from, m);
@@ -88,12 +89,15 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
   k->curvature = take(&from, n_w);
   k->row_sizes = take(&from, m);
   k->softest = take(&from, n_w);
+  k->origin = take(&from, n_w);
   k->matrices = take(&from, n_matrices(s));
   k->work = take(&from, VECTORS * (size_t)kpirl_mpc_system_n_triple(s) + OF_PARAMETERS * n_p);
   return from.used;
 }
 
 /* ---- derivatives --------------------------------------------------------------------------------------------- */
+
+static void forget(kpirl_mpc_kkt *k) { k->factored = k->conditioned = k->stepped = k->reached = 0; }
 
 static void take_values(kpirl_mpc_kkt *k, const kpirl_mpc_view *from) {
   const kpirl_mpc_system *s = &k->system;
@@ -112,7 +116,7 @@ void kpirl_mpc_kkt_take(kpirl_mpc_kkt *k, const kpirl_mpc_view *derivatives) {
   k->system.G = derivatives->G;
   k->system.E = derivatives->E;
   k->system.H = derivatives->H;
-  k->factored = k->stepped = 0;
+  forget(k);
 }
 
 /* `count` numbers to `place`, which moves on; NaN where the functions failed. */
@@ -144,7 +148,7 @@ void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
   s->G = keep(view.G, T * n_x * n_h + n_s * (size_t)s->n_terminal, failed, &place);
   s->E = keep(view.E, T * n_x * n_e + n_s * (size_t)s->n_terminal_equality, failed, &place);
   s->H = keep(view.H, T * n_x * n_x + n_s * n_s, failed, &place);
-  k->factored = k->stepped = 0;
+  forget(k);
 }
 
 /* ---- active rows ------------------------------------------------------------------------------------------------ */
@@ -194,7 +198,7 @@ int kpirl_mpc_kkt_select(kpirl_mpc_kkt *k, const real *active) {
   kpirl_mpc_system_curvature(s, k->curvature);
   kpirl_mpc_row_sizes(s, k->row_sizes);
   if (active)
-    memcpy(s->active, active, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
+    memmove(s->active, active, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
   else
     guess_active(k);
   smooth(k);
@@ -256,5 +260,8 @@ int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_
     kpirl_mpc_kkt_take(k, derivatives);
   else
     kpirl_mpc_kkt_evaluate(k, core);
-  return kpirl_mpc_kkt_select(k, NULL);
+  k->distance = 0;
+  if (!kpirl_mpc_kkt_select(k, NULL)) return 0;
+  kpirl_mpc_kkt_polish(k, core);
+  return 1;
 }

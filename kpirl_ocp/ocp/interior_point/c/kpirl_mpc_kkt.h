@@ -57,6 +57,7 @@ typedef struct kpirl_mpc_kkt {
   kpirl_mpc_numbers numbers;
   kpirl_mpc_triple point;   /* x, costates and multipliers of the rows; start is not used */
   kpirl_mpc_triple adjoint; /* of a function */
+  kpirl_mpc_triple move;    /* the Newton step */
   real barrier;
   real *gradient, *defects; /* of the Lagrangian without bounds (n_w); f - s_next */
   real *slack;              /* (m) of inequalities; of equalities minus their value */
@@ -65,10 +66,12 @@ typedef struct kpirl_mpc_kkt {
   real *row_sizes;          /* (m) */
   real *softest;            /* (n_w) direction of the smallest eigenvalue of the reduced Hessian */
   kpirl_mpc_factors spare;    /* of another matrix */
+  real *origin;               /* (n_w) x before it was polished */
   real *matrices, *work;
   real lowest, qualification; /* that eigenvalue; the smallest singular value of the active rows */
-  real step, margin;          /* kpirl_mpc_kkt_step */
-  int factored, stepped;
+  real step, margin;          /* kpirl_mpc_kkt_step, kpirl_mpc_kkt_reach */
+  real distance;              /* kpirl_mpc_kkt_polish */
+  int factored, immovable, conditioned, stepped, reached; /* what is known; immovable: does no decision move some active row? */
 } kpirl_mpc_kkt;
 
 /* A solution as arrays that are by rows, one row per stage: S (T+1, n_s), U (T, n_u), and the multipliers of the dynamics (T, n_s), of
@@ -79,7 +82,7 @@ typedef struct kpirl_mpc_solution {
 
 /* Measurements, as in Python's SensitivityCertificate. */
 typedef struct kpirl_mpc_evidence {
-  real curvature, qualification, step, margin, change, kink, linear_residual;
+  real curvature, qualification, distance, step, margin, change, kink, linear_residual;
 } kpirl_mpc_evidence;
 
 /* Gradients by psi, s_0 and the context. */
@@ -111,23 +114,29 @@ void kpirl_mpc_kkt_take(kpirl_mpc_kkt *kkt, const kpirl_mpc_view *derivatives);
  * whether all is finite. */
 int kpirl_mpc_kkt_select(kpirl_mpc_kkt *kkt, const real *active);
 
-/* All of these for a solution; derivatives NULL: they are evaluated. */
+/* All of these for a solution, polished where all is finite; derivatives NULL: they are evaluated. */
 int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_solution *solution,
                             const kpirl_mpc_view *derivatives);
 
 /* Sizes, stiffness and active rows as elsewhere: enough for kpirl_mpc_kkt_change. */
 void kpirl_mpc_kkt_select_nearby(kpirl_mpc_kkt *kkt, const real *active);
 
-/* Factors, lowest, softest and qualification, unless they are known. */
+/* Factors; and lowest, softest and qualification; unless they are known. */
 void kpirl_mpc_kkt_factor(kpirl_mpc_kkt *kkt);
+void kpirl_mpc_kkt_condition(kpirl_mpc_kkt *kkt);
 
-/* The Newton step on the conditions with this active set, into `move`. */
-void kpirl_mpc_kkt_newton(const kpirl_mpc_kkt *kkt, kpirl_mpc_triple *move);
+/* The Newton step on the conditions with this active set, kkt->move, and its length in the decisions, relative to their sizes,
+ * kkt->step; unless they are known. */
+void kpirl_mpc_kkt_step(kpirl_mpc_kkt *kkt);
 
-/* Where that step leads, and a little further along the softest direction, into nearby->point; its length in the decisions,
- * relative to their sizes, into kkt->step; and the smallest multiplier of an active and slack of an inactive inequality after it,
- * relative, into kkt->margin. */
-void kpirl_mpc_kkt_step(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby);
+/* Go that way until the step is short, if it is not long, and as long as each step is much shorter than the one before: solvers have
+ * tolerances in units of the cost, so that a small cost leaves solutions far from exact. kkt->distance: how far the point has moved,
+ * measured as the step. */
+void kpirl_mpc_kkt_polish(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core);
+
+/* Where the step leads, and a little further along the softest direction, into nearby->point; and the smallest multiplier of an
+ * active and slack of an inactive inequality after it, relative, into kkt->margin. */
+void kpirl_mpc_kkt_reach(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby);
 
 /* Relative change of the adjoint (r, 0, 0) -> point when the system becomes one nearby; point becomes the adjoint there. */
 real kpirl_mpc_kkt_change(const kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, const real *r, kpirl_mpc_triple *point);

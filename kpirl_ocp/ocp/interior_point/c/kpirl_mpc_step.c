@@ -8,7 +8,10 @@
 
 static const real KNOWN = (real)1e-9;   /* relative accuracy to which no solution is known better */
 static const real ROUGHLY = (real)1e-6; /* relative residual of a Newton step, enough to tell how far the solution is */
-enum { REFINEMENTS = 12 };
+static const real CLOSE = (real)1e-8;   /* a step that is no longer needs no other */
+static const real FAR = (real)1e-2;     /* a longer one does not start at a solution */
+static const real SHORTER = (real)0.1;  /* share of a step that the next one has at most where the method converges */
+enum { REFINEMENTS = 12, STEPS = 4 };
 
 /* ---- factors ---------------------------------------------------------------------------------------------------- */
 
@@ -53,23 +56,28 @@ static int only_bounds_of_decisions(const kpirl_mpc_system *s) {
   return 1;
 }
 
-static real find_qualification(kpirl_mpc_kkt *k, int n_active, int immovable) {
+static real find_qualification(kpirl_mpc_kkt *k, int n_active) {
   kpirl_mpc_system other = k->system;
   if (!n_active) return (real)INFINITY;
-  if (immovable || n_active > k->system.n_decisions) return 0;
+  if (k->immovable || n_active > k->system.n_decisions) return 0;
   if (only_bounds_of_decisions(&k->system)) return 1;
   other.factors = k->spare;
   return kpirl_mpc_system_qualification(&other, k->rows->normal);
 }
 
 void kpirl_mpc_kkt_factor(kpirl_mpc_kkt *k) {
-  const int n_active = count_active(&k->system);
-  int immovable;
   if (k->factored) return;
-  immovable = kpirl_mpc_system_factor(&k->system, k->rows->normal);
-  find_lowest(k, n_active);
-  k->qualification = find_qualification(k, n_active, immovable);
+  k->immovable = kpirl_mpc_system_factor(&k->system, k->rows->normal);
   k->factored = 1;
+}
+
+void kpirl_mpc_kkt_condition(kpirl_mpc_kkt *k) {
+  const int n_active = count_active(&k->system);
+  kpirl_mpc_kkt_factor(k);
+  if (k->conditioned) return;
+  find_lowest(k, n_active);
+  k->qualification = find_qualification(k, n_active);
+  k->conditioned = 1;
 }
 
 /* ---- the Newton step ---------------------------------------------------------------------------------------------- */
@@ -89,12 +97,88 @@ static void newton_right(const kpirl_mpc_kkt *k, kpirl_mpc_triple *right) {
   memset(right->start, 0, (size_t)s->n_states * sizeof(real));
 }
 
-void kpirl_mpc_kkt_newton(const kpirl_mpc_kkt *k, kpirl_mpc_triple *move) {
+static real size_of_decisions(const kpirl_mpc_system *s) {
+  const real whole = kpirl_mpc_decision_norm(s, s->sizes);
+  return whole > 0 ? whole : 1;
+}
+
+void kpirl_mpc_kkt_step(kpirl_mpc_kkt *k) {
   kpirl_mpc_triple right;
+  if (k->stepped) return;
+  kpirl_mpc_kkt_factor(k);
   kpirl_mpc_place_triple(&k->system, k->work, &right);
   newton_right(k, &right);
-  kpirl_mpc_system_solve(&k->system, &right, ROUGHLY, REFINEMENTS, move);
+  kpirl_mpc_system_solve(&k->system, &right, ROUGHLY, REFINEMENTS, &k->move);
+  k->step = kpirl_mpc_decision_norm(&k->system, k->move.x) / size_of_decisions(&k->system);
+  k->stepped = 1;
 }
+
+/* The point after the step into `to`, where smoothed rows push with tau / slack and rows that are off keep their multiplier. */
+static void after_step(const kpirl_mpc_kkt *k, kpirl_mpc_triple *to) {
+  const kpirl_mpc_system *s = &k->system;
+  int i;
+  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) to->x[i] = k->point.x[i] + k->move.x[i];
+  for (i = 0; i < s->horizon * s->n_states; ++i) to->costates[i] = k->point.costates[i] + k->move.costates[i];
+  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) {
+    const int off = s->active[i] == 0 && !k->rows->inequality[i];
+    to->forces[i] = off ? k->point.forces[i] : k->pushing[i] + k->move.forces[i];
+  }
+}
+
+/* ---- polish -------------------------------------------------------------------------------------------------------- */
+
+static void copy_point(const kpirl_mpc_system *s, const kpirl_mpc_triple *from, kpirl_mpc_triple *to) {
+  memcpy(to->x, from->x, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  memcpy(to->costates, from->costates, (size_t)(s->horizon * s->n_states) * sizeof(real));
+  memcpy(to->forces, from->forces, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
+}
+
+/* Are all inequalities that have a barrier still on their side of it? */
+static int inside(const kpirl_mpc_kkt *k) {
+  int i;
+  for (i = 0; i < kpirl_mpc_system_n_rows(&k->system); ++i)
+    if (k->barrier > 0 && k->rows->inequality[i] && !(k->slack[i] > 0)) return 0;
+  return 1;
+}
+
+/* Stand at the point, with the same active rows; returns whether that is a place to be. */
+static int stand_again(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
+  kpirl_mpc_kkt_evaluate(k, core);
+  return kpirl_mpc_kkt_select(k, k->system.active) && inside(k);
+}
+
+/* Go along the step if the next one is much shorter, else stay; returns whether it went. */
+static int follow_step(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
+  const real step = k->step;
+  kpirl_mpc_triple *before = &k->adjoint; /* of which none is known yet */
+  int shorter = 0;
+  copy_point(&k->system, &k->point, before);
+  after_step(k, &k->point);
+  if (stand_again(k, core)) {
+    kpirl_mpc_kkt_step(k);
+    shorter = k->step <= SHORTER * step;
+  }
+  if (!shorter) {
+    copy_point(&k->system, before, &k->point);
+    stand_again(k, core);
+    kpirl_mpc_kkt_step(k);
+  }
+  return shorter;
+}
+
+void kpirl_mpc_kkt_polish(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
+  const kpirl_mpc_system *s = &k->system;
+  const int n_w = kpirl_mpc_system_n_point(s);
+  int i, count = 0;
+  memcpy(k->origin, k->point.x, (size_t)n_w * sizeof(real));
+  kpirl_mpc_kkt_step(k);
+  if (!(k->step <= FAR)) return;
+  while (k->step > CLOSE && count < STEPS && follow_step(k, core)) ++count;
+  for (i = 0; i < n_w; ++i) k->origin[i] = k->point.x[i] - k->origin[i];
+  k->distance = kpirl_mpc_decision_norm(s, k->origin) / size_of_decisions(s);
+}
+
+/* ---- nearby -------------------------------------------------------------------------------------------------------- */
 
 /* The smallest of the relative forces of active and relative slacks of inactive inequalities; NaN if one is. */
 static real smallest_margin(const kpirl_mpc_kkt *k, const real *forces, const real *slack, real *relative) {
@@ -110,26 +194,22 @@ static real smallest_margin(const kpirl_mpc_kkt *k, const real *forces, const re
   return least;
 }
 
-void kpirl_mpc_kkt_step(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby) {
+void kpirl_mpc_kkt_reach(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby) {
   const kpirl_mpc_system *s = &k->system;
-  const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s);
-  const real whole = kpirl_mpc_decision_norm(s, s->sizes), size = whole > 0 ? whole : 1;
-  kpirl_mpc_triple move;
-  real *slack = kpirl_mpc_place_triple(s, nearby->work, &move), *relative = slack + m, *forces = nearby->point.forces;
+  const real size = size_of_decisions(s);
+  const int m = kpirl_mpc_system_n_rows(s);
+  real *slack = nearby->work, *relative = slack + m;
   int i;
-  kpirl_mpc_kkt_newton(k, &move);
-  kpirl_mpc_rows_times(s, move.x, slack);
+  kpirl_mpc_kkt_condition(k);
+  kpirl_mpc_kkt_step(k);
+  after_step(k, &nearby->point);
+  kpirl_mpc_rows_times(s, k->move.x, slack);
   for (i = 0; i < m; ++i) slack[i] = k->slack[i] - slack[i];
-  for (i = 0; i < m; ++i) forces[i] = k->pushing[i] + move.forces[i];
-  k->step = kpirl_mpc_decision_norm(s, move.x) / size;
-  k->margin = smallest_margin(k, forces, slack, relative);
-  for (i = 0; i < n_w; ++i) nearby->point.x[i] = k->point.x[i] + move.x[i] + KNOWN * size * k->softest[i];
-  for (i = 0; i < s->horizon * s->n_states; ++i) nearby->point.costates[i] = k->point.costates[i] + move.costates[i];
-  for (i = 0; i < m; ++i)
-    if (s->active[i] == 0 && !k->rows->inequality[i]) forces[i] = k->point.forces[i];
+  k->margin = smallest_margin(k, nearby->point.forces, slack, relative);
+  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) nearby->point.x[i] += KNOWN * size * k->softest[i];
   nearby->numbers = k->numbers;
   nearby->barrier = k->barrier;
-  k->stepped = 1;
+  k->reached = 1;
 }
 
 real kpirl_mpc_kkt_change(const kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, const real *r, kpirl_mpc_triple *point) {
