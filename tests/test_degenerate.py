@@ -314,7 +314,7 @@ def test_action_fixed_by_its_bounds_is_a_constraint_without_a_margin(method: Imp
     assert result.certificate.certified
 
 
-@pytest.mark.parametrize("solver", [Riccati(), Ipopt()], ids=title)
+@pytest.mark.parametrize("solver", [Riccati(), Ipopt()], ids=["Riccati", "Ipopt"])
 @pytest.mark.parametrize("u", [3e-7, 0.3])
 def test_the_edge_of_a_domain_is_near_in_units_of_the_action_alone(u: float, solver: Riccati | Ipopt) -> None:
     """sqrt(u) u ends at 0, and u is as far from it as it is large: p = u + 3/4 sqrt(u), dp/du = 1 + 3/8 / sqrt(u)."""
