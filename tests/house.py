@@ -22,7 +22,7 @@ LAYERS = {
     "bridges": {"base", "ocp", "irl", "bridges"},
     "viewing": {"base", "ocp", "irl", "perception", "viewing"},
     "perception": {"base", "perception"},
-    "cli": {"base", "ocp", "irl", "bridges", "perception", "cli"},
+    "cli": {"base", "ocp", "irl", "bridges", "perception", "viewing", "cli"},
 }
 LEAVES = {"errors": set(), "pictures": set(), "types": {"errors", "pictures"}}
 HEAVY = {"torch", "pybullet", "pybullet_data", "cv2"}

@@ -1,4 +1,4 @@
-"""What must hold of the numbers; sentences for what does not."""
+"""Bars that the numbers must meet, and sentences for those missed."""
 
 from __future__ import annotations
 

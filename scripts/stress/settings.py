@@ -1,4 +1,4 @@
-"""How much: the quick profile is part of `make test`, the full one takes hours."""
+"""Sizes of the campaigns: the quick profile is part of `make test`, the full one takes hours."""
 
 from dataclasses import dataclass
 

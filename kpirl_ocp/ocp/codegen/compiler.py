@@ -142,7 +142,7 @@ def identity(compiler: str) -> str:
 
 
 def _run(command: Sequence[str]) -> str:
-    """What a compiler prints.
+    """Output of a compiler.
 
     Raises:
         CompilerError: with its own words when it fails, or when it hangs; it is ended then, with what it has started.

@@ -45,7 +45,7 @@ class Case:
 
 
 def weighed(by_states: np.ndarray, tangent: np.ndarray, slope: float, move: np.ndarray) -> np.ndarray:
-    """What errors of a gradient are measured by, (n_psi,): its terms without their signs.
+    """Scale for errors of a gradient, (n_psi,): its terms without their signs.
 
     by_states: (T+1, n_s) dL/dS. tangent: (T+1, n_s, n_psi) dS/dpsi. slope, move (n_psi,): units of both, a hundredth of
     which counts where they are zero.

@@ -1,4 +1,4 @@
-"""How far from a kink a case lies: exactly on it, too close to tell, or well beside it."""
+"""Distances of cases from a kink: exactly on it, too close to tell, or well beside it."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What a demonstration shows of a state, and how it is compared: smooth, or with a kink exactly at or beside the plan.
+"""Observations and losses: smooth, or with a kink exactly at or beside the plan.
 
 States are (T+1, n_s) without units here.
 """

@@ -38,7 +38,7 @@ def measure(profile: Profile) -> Part:
 
 
 def torment(program: Program, data: Path, base: Path, kills: int) -> dict[str, object]:
-    """How many runs ended, the files that differ from those of a run in peace, and files left behind."""
+    """Count the runs that ended, the files that differ from those of a run in peace, and files left behind."""
     peaceful, out = base / f"{program.name} in peace", base / program.name
     started = time.monotonic()
     _run(program, data, peaceful)

@@ -1,4 +1,4 @@
-"""What is killed: every program that works for long and can go on, at a tiny size."""
+"""Programs that are killed: every one that works for long and can go on, at a tiny size."""
 
 from __future__ import annotations
 

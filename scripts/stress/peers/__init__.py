@@ -1,1 +1,1 @@
-"""What users would take instead, on the cases that each can state: optional packages, see `make stress`."""
+"""Peers that users would take instead, on the cases that each can state: optional packages, see `make stress`."""

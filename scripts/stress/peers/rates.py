@@ -1,4 +1,4 @@
-"""How often a peer answers wrongly without a word."""
+"""Rates of silently wrong answers, peer by peer."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def available(name: str):
 
 
 def answer(gradient, case: Case) -> Answer:
-    """What a peer makes of one case; exceptions, NaN and its own flags count as refusals."""
+    """Verdict of a peer on one case; exceptions, NaN and its own flags count as refusals."""
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         logging.disable(logging.CRITICAL)
