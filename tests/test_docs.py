@@ -48,6 +48,14 @@ def test_the_code_of_a_page_prints_what_its_comments_promise(name, tmp_path, mon
     assert printed.split("\n")[:-1] == promised
 
 
+def test_a_training_step_through_a_problem_takes_ten_lines():
+    step = CODE["docs/howto/pytorch.md"][0]
+    others = ("import", "from", "print", "torch.manual_seed")
+    lines = [line for line in step.splitlines() if line and not line.startswith(others)]
+    assert "optimiser.step()" in lines
+    assert len(lines) <= 10
+
+
 @pytest.mark.parametrize("path", [*PAGES, ROOT / "README.md"], ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_links_and_pictures_of_a_page_are_there(path):
     for target in re.findall(

@@ -43,6 +43,7 @@ def test_the_browser_gets_the_arm_at_the_chosen_step():
         viewer.play()
         assert viewer.slider.value == 5
         viewer.show(3)
+        assert viewer.slider.value == 3
     finally:
         viewer.stop()
 

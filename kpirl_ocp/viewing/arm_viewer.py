@@ -62,7 +62,7 @@ class ArmViewer:
         last = len(motion.times) - 1
         self.slider = self.server.gui.add_slider("step", 0, max(last, 1), 1, 0)
         self._play = self.server.gui.add_button("play")
-        self.slider.on_update(lambda _: self.show(int(self.slider.value)))
+        self.slider.on_update(lambda _: self._draw(int(self.slider.value)))
         self._play.on_click(lambda _: self.play())
         self.show(0)
 
@@ -72,8 +72,12 @@ class ArmViewer:
         return f"http://localhost:{self.server.get_port()}"
 
     def show(self, step: int) -> None:
-        """The arm at one time step."""
-        step = min(step, len(self.motion.times) - 1)
+        """The arm at one time step, where the slider then stands."""
+        self.slider.value = min(step, len(self.motion.times) - 1)
+        self._draw(self.slider.value)
+
+    def _draw(self, step: int) -> None:
+        step = min(step, len(self.motion.times) - 1)  # a motion of one step has a slider of two
         skeleton, keypoints = self.motion.skeletons[step], self.motion.keypoints[step]
         lines = np.stack([skeleton[:-1], skeleton[1:]], axis=1)
         self.server.scene.add_line_segments(
