@@ -72,6 +72,16 @@ def test_a_plan_begins_where_a_recording_of_the_arm_does(placing, tmp_path):
     assert not json.loads((tmp_path / "metrics.json").read_text())["results"]["executed"]  # it has no scene
 
 
+def test_a_film_in_which_the_detector_does_not_see_its_object_is_refused(tmp_path, capsys):
+    frames = np.full((12, 240, 240, 3), 150, np.uint8)
+    for index, frame in enumerate(frames):
+        frame[100:140, 60 + 8 * index : 100 + 8 * index] = 200, 40, 40
+    path = write_video(tmp_path / "other.mp4", frames, 10, codec="h264")
+    assert run(["learn-video", str(path), MODELS[0], "--out", str(tmp_path)]) == 2
+    assert "not seen for sure" in capsys.readouterr().err
+    assert (tmp_path / "refused.png").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -15,6 +15,7 @@ pytest.importorskip("pybullet")
 pytest.importorskip("torch")
 from safetensors.numpy import load_file
 
+from kpirl_ocp.cli.main import run
 from kpirl_ocp.perception.data.clips import read_recordings
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.dynamics.model import DynamicsModel
@@ -98,6 +99,19 @@ def test_training_keypoints_writes_a_detector_its_scores_and_pictures_and_says_t
         assert figure in trained["detector"]
     assert (out / "tracks_keypoints.mp4").stat().st_size > 0
     assert "rejected.json" in trained["detector"]
+
+
+def test_a_robust_detector_is_trained_scored_and_judged_by_one_command(data, trained):
+    teacher, out = data / "detector" / "rejected.json", data / "robust"
+    tiny = ["--clips", "0.005", "--steps", "2", "--batch", "4", "--threads", "1"]  # one clip of each motion
+    words = ["--teacher", teacher, *tiny, "--test", data / "keypoints", "--out", out]
+    assert run(["train-robust", *map(str, words)]) == 2  # two steps are too few
+    card = json.loads((out / "rejected.json").read_text())
+    assert card["training"]["steps"] == 2
+    assert set(card["metrics"]) == {"keypoints"}
+    assert card["confidence"]["centre"] == card["architecture"]["keypoints"] * [0.0]
+    assert metrics(out)["steps"] == 2
+    assert_is_figure(out / "curves.png")
 
 
 def test_training_again_goes_on_where_it_was(data, trained):
