@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import KpirlError
 
@@ -62,6 +63,12 @@ def _plain(value: Any) -> Any:
 def plus_minus(mean: float, deviation: float) -> str:
     """Three digits of the mean and two of the deviation, without exponents where both are easily read: 175 ± 140."""
     return f"{digits(mean, 3)} ± {digits(deviation, 2)}"
+
+
+def spread(values: ArrayLike) -> str:
+    """Mean and standard deviation of values (runs,); one run has no deviation."""
+    runs = np.asarray(values, float)
+    return plus_minus(runs.mean(), (runs - runs[0]).std()) if len(runs) > 1 else digits(float(runs[0]), 3)
 
 
 def digits(value: float, count: int) -> str:

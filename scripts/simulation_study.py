@@ -17,7 +17,7 @@ from tqdm import tqdm
 from kpirl_ocp import figures
 from kpirl_ocp.irl.cases.tasks import TASKS, write_demonstrations
 from kpirl_ocp.ocp.models import Robot
-from kpirl_ocp.reporting import output_directory, plus_minus, run, table, write_metrics
+from kpirl_ocp.reporting import output_directory, run, spread, table, write_metrics
 
 Results = dict[tuple[str, int], dict[str, Curve]]
 Variants = dict[tuple[str, int], dict[str, Variant]]
@@ -54,7 +54,7 @@ def summary(results: Results) -> list[list[object]]:
             np.array([getattr(c, field)[c.best] for c in curves]) for field in ("test", "distance", "train")
         )
         rises = [np.mean(np.diff(c.train) > 0.01 * c.train[:-1]) if len(c.train) > 1 else 0.0 for c in curves]
-        spreads = (plus_minus(values.mean(), values.std()) for values in (train, test, distance))
+        spreads = (spread(values) for values in (train, test, distance))
         seconds = np.mean([curve.seconds for curve in curves])
         rows.append([f"{task}: {method}", *spreads, f"{100 * np.mean(rises):.0f} %", f"{seconds:.2f}"])
     return rows

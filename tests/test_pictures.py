@@ -15,7 +15,7 @@ from kpirl_ocp import LBFGS, OCP, Demonstration, Implicit, Riccati, learn
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.figures import colours, new_figure, panels_of_bands, wrapped_figure
 from kpirl_ocp.pictures import COLOURS, GREY, PAGE, svg_file
-from kpirl_ocp.reporting import plus_minus
+from kpirl_ocp.reporting import plus_minus, spread
 from kpirl_ocp.viewing.plots import plot
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
@@ -176,6 +176,11 @@ def test_a_table_aligns_numbers_to_the_right_and_text_to_the_left(tmp_path):
     written = page.write(tmp_path / "report.html").read_text()
     assert '<th>4 costs</th><th class="number">loss</th><th>here</th>' in written
     assert '<td>5</td><td class="number"></td><td>same</td>' in written
+
+
+def test_one_run_has_no_deviation():
+    assert spread([175.2]) == "175"
+    assert spread([174.0, 176.0]) == "175 ± 1"
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from kpirl_ocp.irl.learning.apprenticeship import apprenticeship
 from kpirl_ocp.irl.learning.margins import Rule, largest_margin, max_margin, projection, two_sided
 from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, Weighted
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.reporting import plus_minus
+from kpirl_ocp.reporting import spread
 from kpirl_ocp.types import Array, Demonstration
 
 RULES: Mapping[str, Rule] = {
@@ -55,7 +55,7 @@ def rows_of(runs: Mapping[str, list[dict[str, Variant]]]) -> list[list[str]]:
                 rows.append([f"{task}: {name}", "no solution", "", "", ""])
                 continue
             columns = ([v.losses.min() for v in solved], [v.losses[-1] for v in solved], [v.test for v in solved])
-            spreads = [plus_minus(float(np.mean(column)), float(np.std(column))) for column in columns]
+            spreads = [spread(column) for column in columns]
             rows.append([f"{task}: {name}", *spreads, f"{100 * np.mean([v.swings for v in solved]):.0f} %"])
     return rows
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kpirl_ocp.irl.visual.learning import InnerLoop
+from kpirl_ocp.reporting import digits
 from kpirl_ocp.types import Array
 from reproduction import axes, placing, reaching, repeated, robustness
 from reproduction.learning import (
@@ -202,4 +203,4 @@ def _mean(values: Sequence[Array] | Array) -> float:
 
 
 def _list(values: dict[str, float]) -> str:
-    return ", ".join(f"{name} {value:.3g}" for name, value in values.items())
+    return ", ".join(f"{name} {digits(value, 3)}" for name, value in values.items())

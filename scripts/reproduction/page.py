@@ -17,10 +17,11 @@ from kpirl_ocp.pictures import svg_file
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}</title><style>
-body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }}
+body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222; }}
 table {{ border-collapse: collapse; margin: 1rem 0; font-size: 0.9rem; }}
 th, td {{ border-bottom: 1px solid #ccc; padding: 0.25rem 0.7rem; text-align: left; vertical-align: top; }}
-.number {{ text-align: right; }} td.number {{ white-space: nowrap; }}
+td + td {{ min-width: 9rem; }} /* of text */
+.number {{ text-align: right; }} td.number {{ white-space: nowrap; min-width: 0; }}
 .wide {{ overflow-x: auto; }} nav ul {{ padding-left: 1.2rem; }} nav .level3 {{ margin-left: 1.2rem; }}
 img {{ max-width: 100%; height: auto; }} figure {{ margin: 1.5rem 0; }}
 figcaption, .note {{ color: #555; font-size: 0.9rem; }}

@@ -7,16 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from kpirl_ocp.reporting import digits, plus_minus
+from kpirl_ocp import reporting
 from kpirl_ocp.types import Array
 
 
 def spread(values: Sequence[Any] | Array) -> str:
     """Mean and standard deviation over seeds; tests of one seed are averaged first. One seed has no deviation."""
-    runs = per_seed(values)
-    if len(runs) == 0:
-        return "not learned"
-    return plus_minus(runs.mean(), (runs - runs[0]).std()) if len(runs) > 1 else digits(runs[0], 3)
+    return reporting.spread(per_seed(values)) if len(values) else "not learned"
 
 
 def demonstrations(count: int) -> str:
