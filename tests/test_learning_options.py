@@ -279,13 +279,54 @@ def test_an_interruption_keeps_the_best_and_the_checkpoint(tmp_path):
     )
 
 
-def test_settings_that_do_not_fit_are_refused():
-    arguments = mass(8), [demonstrate(8)], START, Implicit()
-    with pytest.raises(ProblemError, match="there must be 1 guesses, one per demonstration"):
-        quiet(*arguments, guesses=[None, None])
-    with pytest.raises(ProblemError, match="scale must be positive"):
-        quiet(*arguments, scale=[1.0, -2.0])
-    with pytest.raises(ProblemError, match=r"bounds must be \(lower, upper\), each a number or \(2,\)"):
-        quiet(*arguments, bounds=([0, 0, 0], 1))
-    with pytest.raises(ProblemError, match="psi0 must be an array of numbers"):
-        quiet(mass(8), [demonstrate(8)], "psi", Implicit())
+REFUSED = {
+    "guesses for others": ({"guesses": [None, None]}, "there must be 1 guesses, one per demonstration"),
+    "one guess": ({"guesses": Trajectory(np.zeros((9, 2)), np.zeros((8, 1)))}, "there must be 1 guesses"),
+    "negative scale": ({"scale": [1.0, -2.0]}, "scale must be positive, a number or"),
+    "scale of another length": ({"scale": [1.0, 2.0, 3.0]}, r"scale must be positive, a number or \(2,\)"),
+    "scale that is no number": ({"scale": np.nan}, "scale must be positive"),
+    "bounds of another length": ({"bounds": ([0, 0, 0], 1)}, r"bounds must be \(lower, upper\), each a number or \(2,"),
+    "one bound": ({"bounds": 1.0}, r"bounds must be \(lower, upper\), got 1.0"),
+    "psi0 of words": ({"psi0": "psi"}, "psi0 must be an array of numbers"),
+    "psi0 of another length": ({"psi0": [1.0]}, "psi0 must have length 2, got 1"),
+    "psi0 that is no number": ({"psi0": [np.nan, 1.0]}, "psi0 must be finite"),
+    "psi0 out of bounds": ({"bounds": (2.0, 3.0)}, "psi0 must lie within the bounds"),
+    "no demonstrations": ({"demonstrations": []}, "at least one demonstration"),
+    "one demonstration": ({"demonstrations": 3}, "demonstrations must be a sequence of Demonstration, got 3"),
+    "states for demonstrations": ({"demonstrations": [np.zeros((9, 2))]}, "demonstrations must be a sequence of"),
+    "half a step": ({"steps": 2.5}, "steps must be a whole number of at least 0, got 2.5"),
+    "steps back": ({"steps": -1}, "steps must be a whole number of at least 0, got -1"),
+    "a class of gradients": ({"hypergradient": Implicit}, r"hypergradient must be an object such as Implicit\(\)"),
+    "a class of optimisers": ({"optimiser": Adam}, r"optimiser must be an object such as Adam\(\)"),
+    "an optimiser's name": ({"optimiser": "adam"}, r"optimiser must be an object such as Adam\(\), got 'adam'"),
+    "no callback": ({"callback": 3}, "callback must be a function of the state, got 3"),
+    "no problem": ({"problem": 3}, "problem must be an OCP, or a function T -> OCP, got 3"),
+    "a function of nothing": (
+        {"problem": lambda horizon: None},
+        "the problem for the horizon 8 must be an OCP, got None",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_an_argument_that_does_not_fit_is_refused_in_one_sentence(name):
+    changes, message = REFUSED[name]
+    arguments = {"problem": mass(8), "demonstrations": [demonstrate(8)], "psi0": START, "hypergradient": Implicit()}
+    with pytest.raises(ProblemError, match=message):
+        quiet(**(arguments | changes))
+
+
+@pytest.mark.parametrize(
+    "parts", [(), ActionDistance(), ((1.0,),), ((ActionDistance(), 1.0),), (1.0, ActionDistance())]
+)
+def test_a_sum_without_weights_or_losses_is_refused(parts):
+    with pytest.raises(ProblemError, match=r"parts must be pairs \(weight, loss\), at least one"):
+        WeightedSum(parts)
+
+
+@pytest.mark.parametrize("path", [3, "file/learning.npz"])
+def test_a_checkpoint_that_cannot_be_written_is_refused(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match=r"checkpoint must be the path of a file|the checkpoint .* cannot be written"):
+        quiet(mass(8), [demonstrate(8)], START, Implicit(), steps=1, checkpoint=path)

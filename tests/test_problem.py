@@ -152,7 +152,7 @@ INCONSISTENT = {  # what is wrong: the change, the message
     "schedule as a vector": ({"schedule": np.zeros(T + 1)}, r"got \(5,\)"),
     "one column of the schedule short": (
         {"schedule": SCHEDULE[:, :1]},
-        "dynamics must take column vectors",
+        r"schedule must have a column for every number of the stage, \(5, 2\), got \(5, 1\)",
     ),
     "free symbol in the dynamics": (
         {"dynamics": ca.vertcat(x, x, x)},

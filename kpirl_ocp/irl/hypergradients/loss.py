@@ -6,15 +6,16 @@ is a function of states, actions and the data that it takes from a demonstration
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.types import Array, Demonstration
 
 Loss: TypeAlias = Callable[[OCP], ca.Function]
@@ -100,6 +101,10 @@ class WeightedSum:
 
     parts: tuple[tuple[float, Loss], ...]
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.parts, Sequence) or not self.parts or not all(map(_weighed, self.parts)):
+            raise ProblemError(f"parts must be pairs (weight, loss), at least one, got {shown(self.parts)}.")
+
     def __call__(self, problem: OCP) -> ca.Function:
         """The function; its data are those of all parts, one below the other."""
         functions = [(weight, loss(problem)) for weight, loss in self.parts]
@@ -114,6 +119,10 @@ class WeightedSum:
     def data(self, problem: OCP, demonstration: Demonstration) -> Array:
         """(sum of n_data, T+1)."""
         return np.vstack([data_of(loss, problem, demonstration) for _, loss in self.parts])
+
+
+def _weighed(part: Any) -> bool:
+    return isinstance(part, Sequence) and len(part) == 2 and bool(np.isscalar(part[0])) and callable(part[1])
 
 
 def _symbols(problem: OCP, n_data: int) -> tuple[ca.MX, ca.MX, ca.MX]:

@@ -40,11 +40,16 @@ class Checkpoint:
     """A file of one learning, told from others by its fingerprint; without a path nothing is written or found."""
 
     def __init__(self, path: str | Path | None, fingerprint: str) -> None:
+        if path is not None and not isinstance(path, str | Path):
+            raise FileError(f"checkpoint must be the path of a file, got {path!r}.")
         self.path = None if path is None else Path(path)
         self._fingerprint, self._written = fingerprint, time.monotonic()
 
     def save(self, saved: Saved, now: bool = False) -> None:
-        """Write the file, unless it was written a moment ago; `now` writes in any case."""
+        """Write the file, unless it was written a moment ago; `now` writes in any case.
+
+        Raises FileError where it cannot be written.
+        """
         if self.path is None or not (now or time.monotonic() - self._written > _PAUSE):
             return
         arrays: dict[str, Any] = {
@@ -55,9 +60,12 @@ class Checkpoint:
         }
         tree = _encode(tuple(saved[:3]), arrays)
         header = json.dumps({"format": _FORMAT, "fingerprint": self._fingerprint, "state": tree})
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(self.path) as file:
-            np.savez(file, header=np.array(header), **arrays)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(self.path) as file:
+                np.savez(file, header=np.array(header), **arrays)
+        except OSError as error:
+            raise FileError(f"the checkpoint {self.path} cannot be written: {error}") from error
         self._written = time.monotonic()
 
     def load(self) -> Saved | None:

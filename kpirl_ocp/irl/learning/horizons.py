@@ -7,6 +7,7 @@ from typing import TypeAlias
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.types import Demonstration
 
 Problems: TypeAlias = OCP | Callable[[int], OCP]
@@ -16,12 +17,16 @@ Problems: TypeAlias = OCP | Callable[[int], OCP]
 def problems_of(problem: Problems, demonstrations: Sequence[Demonstration]) -> tuple[OCP, ...]:
     """The problem of every demonstration; those of one horizon share theirs.
 
-    Raises ProblemError when the function gives another horizon, or problems with different numbers of parameters.
+    Raises ProblemError when the function gives no problem, another horizon, or different numbers of parameters.
     """
     if isinstance(problem, OCP):
         return (problem,) * len(demonstrations)
+    if not callable(problem):
+        raise ProblemError(f"problem must be an OCP, or a function T -> OCP, got {shown(problem)}.")
     made = {horizon: problem(horizon) for horizon in sorted({demo.horizon for demo in demonstrations})}
     for horizon, one in made.items():
+        if not isinstance(one, OCP):
+            raise ProblemError(f"the problem for the horizon {horizon} must be an OCP, got {shown(one)}.")
         if one.horizon != horizon:
             raise ProblemError(f"the problem for the horizon {horizon} has the horizon {one.horizon}.")
     counts = {one.n_parameters for one in made.values()}

@@ -9,7 +9,7 @@ psi / scale, within bounds.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,13 +22,21 @@ from tqdm import tqdm
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import Hypergradient, HypergradientResult
 from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
+from kpirl_ocp.irl.learning.arguments import (
+    check_bounds,
+    check_demonstrations,
+    check_methods,
+    check_run,
+    psi_of,
+    scale_of,
+)
 from kpirl_ocp.irl.learning.checkpoint import Checkpoint, Saved, fingerprint
 from kpirl_ocp.irl.learning.horizons import Problems, problems_of
 from kpirl_ocp.irl.learning.optimisers import Adam, Box, Optimiser, Point
 from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
-from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED, Bounds, bounds_of, numbers
+from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED, Bounds, bounds_of
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.types import Array, Demonstration
 
@@ -56,10 +64,9 @@ class Learner:
     bounds: Bounds = UNBOUNDED
 
     def __post_init__(self) -> None:
-        if not self.demonstrations:
-            raise ProblemError("learning needs at least one demonstration.")
-        if self.guesses is not None and len(self.guesses) != len(self.demonstrations):
-            raise ProblemError(f"there must be {len(self.demonstrations)} guesses, one per demonstration.")
+        check_demonstrations(self.demonstrations, self.guesses)
+        check_methods(self.hypergradient, self.optimiser)
+        check_bounds(self.bounds)
 
     def evaluate(self, psi: Array, near: Point | None = None) -> Point:
         """Mean loss and gradient over the demonstrations; solves start from the plans of a point nearby."""
@@ -74,7 +81,7 @@ class Learner:
 
     def init(self, psi0: ArrayLike) -> LearningState:
         """Evaluate psi0 (n_psi,)."""
-        psi = np.array(numbers("psi0", psi0)).reshape(-1)
+        psi = psi_of(psi0, self.problems[0].n_parameters)
         if not np.array_equal(self._box.project(psi), psi):
             raise ProblemError("psi0 must lie within the bounds.")
         point = self.evaluate(psi)
@@ -110,10 +117,7 @@ class Learner:
 
     @cached_property
     def _scale(self) -> Array:
-        (scale, _) = bounds_of("scale", (self.scale, np.inf), (self.problems[0].n_parameters,))
-        if not (np.isfinite(scale) & (scale > 0)).all():
-            raise ProblemError(f"scale must be positive numbers, got {self.scale!r}.")
-        return scale
+        return scale_of(self.scale, self.problems[0].n_parameters)
 
     @cached_property
     def _box(self) -> Box:
@@ -177,12 +181,13 @@ def learn(
 
     Raises:
         CertificateError: a gradient was not certified and the hypergradient's policy is "raise".
-        FileError: the checkpoint is damaged, or of another learning.
+        FileError: the checkpoint is damaged, of another learning, or cannot be written.
         ProblemError: arguments that do not fit.
     """
-    learner = Learner(
-        problem, tuple(demonstrations), hypergradient, optimiser or Adam(), guesses, warm_start, scale, bounds
-    )
+    check_run(steps, callback)
+    seen = tuple(demonstrations) if isinstance(demonstrations, Iterable) else demonstrations
+    optimiser = Adam() if optimiser is None else optimiser
+    learner = Learner(problem, seen, hypergradient, optimiser, guesses, warm_start, scale, bounds)
     file = Checkpoint(checkpoint, learner.fingerprint(psi0))
     saved = file.load()
     state, history = (LearningState(*saved[:3]), saved.history) if saved else (None, [])

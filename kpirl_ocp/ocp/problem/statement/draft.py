@@ -50,6 +50,10 @@ class Draft:
         self.kind: Any = type(symbols["state"])
         self.horizon, self.additions = horizon_of(horizon), Additions()
         self.schedule = schedule_of(schedule, self.horizon)
+        expected = (self.horizon + 1, self.symbols["stage"][0].numel())
+        if self.schedule.shape != expected:
+            got = "none" if schedule is None else self.schedule.shape
+            raise ProblemError(f"schedule must have a column for every number of the stage, {expected}, got {got}.")
         self.expressions = {
             name: None if value is None else expression_of(name, value, self.kind)
             for name, value in expressions.items()

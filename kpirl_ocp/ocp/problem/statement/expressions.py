@@ -33,11 +33,26 @@ SEEN = {
 
 
 def symbols_of(**given: Expression | None) -> dict[str, list[Expression]]:
-    """Checked symbols by argument; an empty one where there is none. All are of the kind of the state, SX or MX."""
+    """Checked symbols by argument; an empty one where there is none. All are of the kind of the state, SX or MX.
+
+    Raises ProblemError for what is no column of symbols, of another kind, or has two places.
+    """
     kind = type(given["state"])
     if kind not in (ca.SX, ca.MX):
         raise ProblemError(f"state must be a symbol, casadi.SX.sym or casadi.MX.sym, got {shown(given['state'])}.")
-    return {name: [_symbol(name, symbol, kind)] for name, symbol in given.items()}
+    symbols = {name: _symbol(name, symbol, kind) for name, symbol in given.items()}
+    _check_places(symbols)
+    return {name: [symbol] for name, symbol in symbols.items()}
+
+
+def _check_places(symbols: Mapping[str, Expression]) -> None:
+    """Raise ProblemError for a symbol that has two places."""
+    places: dict[int, str] = {}
+    for name, symbol in symbols.items():
+        for part in ca.symvar(symbol):
+            other = places.setdefault(identity(part), name)
+            if other != name:
+                raise ProblemError(f"{part.name()} is among both {other} and {name}: a symbol has one place.")
 
 
 def _symbol(name: str, symbol: Expression | None, kind: Any) -> Expression:

@@ -20,7 +20,7 @@ from kpirl_ocp.types import Array
 
 def add_static(draft: Draft, static: Expression, bounds: Bounds) -> None:
     """Add q within bounds."""
-    symbols_of(state=draft.state, static=static)
+    symbols_of(**{name: own[0] for name, own in draft.symbols.items()}, static=static)
     lower, upper = bounds_of("static_bounds", bounds, (static.numel(),))
     draft.add_states(static, lower, upper)
     draft.additions = replace(draft.additions, static=tuple(_start(lower, upper).tolist()))
