@@ -6,7 +6,7 @@ import pytest
 from test_random_problems import random_case
 from test_random_statements import Drawing
 
-from kpirl_ocp import OCP, Ipopt, Riccati, Status
+from kpirl_ocp import OCP, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.ocp.conditions.audit import audit
 
 
@@ -81,3 +81,27 @@ def test_iteration_limit_counts_restoration(limit):
     found = Riccati(max_iterations=limit).solve(around_a_disc(), [0, 0.1, 0, 0])
     assert found.status is Status.ITERATION_LIMIT
     assert found.iterations == limit
+
+
+def test_dynamics_alone_are_never_called_infeasible():
+    """Whatever the start, s' = f(s, u) with bounded u has a solution: a cart-pole from states that follow nothing."""
+    s, u, step = ca.SX.sym("s", 4), ca.SX.sym("u"), 0.04
+    sine, cosine = ca.sin(s[1]), ca.cos(s[1])
+    push = u + 0.1 * sine * (0.5 * s[3] ** 2 + 9.81 * cosine)
+    turn = -u * cosine - 0.05 * s[3] ** 2 * cosine * sine - 1.1 * 9.81 * sine
+    share = 1 + 0.1 * sine**2
+    off = s[0] ** 2 + 5 * (1 + cosine) + 0.1 * ca.sumsqr(s[2:])
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=50,
+        dynamics=s + step * ca.vertcat(s[2:], push / share, turn / (0.5 * share)),
+        stage_cost=step * (off + 0.01 * u**2),
+        terminal_cost=50 * off,
+        action_bounds=(-20, 20),
+    )
+    rng = np.random.default_rng(3)
+    for _ in range(8):
+        states = np.linspace([0, 2, 0, 0], [0, np.pi, 0, 0], 51) + 0.3 * rng.normal(size=(51, 4))
+        found = Riccati().solve(problem, [0, 2, 0, 0], guess=Trajectory(states, 0.3 * rng.normal(size=(50, 1))))
+        assert found.status is not Status.INFEASIBLE

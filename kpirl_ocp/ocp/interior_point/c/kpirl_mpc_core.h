@@ -56,7 +56,7 @@ typedef struct kpirl_mpc_step {
 /* Pairs (theta, phi) of violation and objective that no later iterate may be worse than in both. */
 enum { KPIRL_MPC_FILTER_SIZE = 64 };
 typedef struct kpirl_mpc_filter {
-  real largest, small, feasible; /* theta above which nothing is accepted, below which the objective may decide, rounding decides */
+  real largest, small, feasible; /* theta above which nothing is accepted, below which the objective decides, and rounding */
   real theta[KPIRL_MPC_FILTER_SIZE], phi[KPIRL_MPC_FILTER_SIZE];
   int count;
 } kpirl_mpc_filter;
@@ -246,6 +246,7 @@ void kpirl_mpc_arrive(kpirl_mpc_core *core, int level);
 /* elastic: is an inequality replaced by its penalty? The penalty at values of g and c; slacks and multipliers at an iterate;
  * what the step does to it; the end of it. */
 int kpirl_mpc_is_elastic(const kpirl_mpc_core *core, int row);
+int kpirl_mpc_has_elastic(const kpirl_mpc_core *core); /* is there one that could be? */
 real kpirl_mpc_penalty(const kpirl_mpc_core *core, const real *g, const real *c);
 void kpirl_mpc_relax(kpirl_mpc_core *core);
 void kpirl_mpc_let_go(kpirl_mpc_core *core);

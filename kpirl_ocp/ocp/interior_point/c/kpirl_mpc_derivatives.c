@@ -98,8 +98,8 @@ void kpirl_mpc_find_residuals(const kpirl_mpc_core *core, real tau, kpirl_mpc_re
 }
 
 int kpirl_mpc_subproblem_solved(const kpirl_mpc_core *core) {
-  const real small = SUBPROBLEM * core->tau;
+  const real small = SUBPROBLEM * core->tau, small_violation = core->penalty > 0 ? small / core->penalty : small;
   kpirl_mpc_residuals residuals;
   kpirl_mpc_find_residuals(core, core->tau, &residuals);
-  return residuals.stationarity <= small && residuals.feasibility <= small && residuals.complementarity <= small;
+  return residuals.stationarity <= small && residuals.feasibility <= small_violation && residuals.complementarity <= small;
 }

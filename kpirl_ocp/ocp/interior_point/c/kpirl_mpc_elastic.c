@@ -13,13 +13,23 @@
  */
 #include "kpirl_mpc_core.h"
 
-int kpirl_mpc_is_elastic(const kpirl_mpc_core *core, int row) {
+/* Can an inequality be violated? Bounds of decisions can not. */
+static int can_be_elastic(const kpirl_mpc_core *core, int row) {
   const int n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), low = core->n_lower;
   int entry;
-  if (core->penalty <= 0) return 0;
   if (row >= kpirl_mpc_n_bounds(core)) return 1;
   entry = row < low ? core->lower[row] : core->upper[row - low];
   return entry >= n_s && entry % n_x < n_s;
+}
+
+int kpirl_mpc_is_elastic(const kpirl_mpc_core *core, int row) { return core->penalty > 0 && can_be_elastic(core, row); }
+
+int kpirl_mpc_has_elastic(const kpirl_mpc_core *core) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  int i;
+  for (i = 0; i < m; ++i)
+    if (can_be_elastic(core, i)) return 1;
+  return kpirl_mpc_n_equalities(core) > 0;
 }
 
 /* (width - rho g + sqrt(rho^2 g^2 + width^2)) / (2 rho), without cancellation. */

@@ -57,7 +57,8 @@ static int all_positive(const real *pivots, int count) {
 
 int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_x = n_s + n_u;
-  const int m = kpirl_mpc_n_inequalities(core), n_free = core->bounds.n_free, n_w = kpirl_mpc_n_point(core), n_c = kpirl_mpc_n_equalities(core);
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+  const int n_free = core->bounds.n_free, n_w = kpirl_mpc_n_point(core);
   kpirl_mpc_factors *factors = &core->factors;
   real *diagonal = core->right;
   int i, t;

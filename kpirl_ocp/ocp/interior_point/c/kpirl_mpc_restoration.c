@@ -44,10 +44,11 @@ static kpirl_mpc_restoration restore_with(kpirl_mpc_core *core, real penalty, re
 }
 
 kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core) {
-  const real before = kpirl_mpc_largest_violation(core), gradient = kpirl_mpc_largest(core->d.cost_gradient, kpirl_mpc_n_point(core));
+  const real before = kpirl_mpc_largest_violation(core);
+  const real gradient = kpirl_mpc_largest(core->d.cost_gradient, kpirl_mpc_n_point(core));
   const real scale = gradient > 0 ? gradient : 1;
   kpirl_mpc_restoration result;
-  if (!(before > core->tolerance)) return KPIRL_MPC_NOT_RESTORED;
+  if (!kpirl_mpc_has_elastic(core) || !(before > core->tolerance)) return KPIRL_MPC_NOT_RESTORED;
   core->regularisation = 0;
   memset(core->at.costates, 0, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
   result = restore_with(core, FIRST * scale, LEFT * before);

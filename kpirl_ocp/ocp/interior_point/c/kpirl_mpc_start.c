@@ -61,8 +61,8 @@ void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x) {
   for (i = 0; i < m - bounds; ++i) at->y[bounds + i] = kpirl_mpc_larger(-core->d.path[i], PUSH * size_of_row(core, i));
 }
 
-/* Costates for which the Lagrangian is stationary by s_1 .. s_T, by the adjoint recursion from those of zero; unless they would be
- * too large to be of use (Waechter and Biegler, 2006, section 3.6). */
+/* Costates for which the Lagrangian is stationary by s_1 .. s_T, by the adjoint recursion from those of zero; unless they would
+ * be too large to be of use (Waechter and Biegler, 2006, section 3.6). */
 void kpirl_mpc_estimate_costates(kpirl_mpc_core *core) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
   const real *gradient = core->d.gradient;
