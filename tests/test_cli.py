@@ -400,9 +400,18 @@ def test_an_interrupted_collection_keeps_its_episodes_and_goes_on(tmp_path):
         pytest.importorskip(package)
     code, lines = interrupted(["collect", "keypoints", "--frames", "2", "--episodes", "40"], tmp_path, b"| 1/40")
     assert code == 130
-    # A worker process that is interrupted while it starts may print a traceback of its own before.
-    assert lines[-1] == f"interrupted: finished episodes are in {tmp_path}; the same command goes on."
+    assert lines == [f"interrupted: finished episodes are in {tmp_path}; the same command goes on."]
     assert 1 <= len(list(tmp_path.glob("episode_*.npz"))) < 40
+
+
+def test_a_collection_that_is_interrupted_while_its_workers_start_says_one_line(tmp_path):
+    """0/40 is printed before they are there."""
+    for package in ("cv2", "pybullet", "torch"):
+        pytest.importorskip(package)
+    words = ["collect", "keypoints", "--frames", "2", "--episodes", "40", "--jobs", "4"]
+    code, lines = interrupted(words, tmp_path, b"| 0/40")
+    assert code == 130
+    assert lines == [f"interrupted: finished episodes are in {tmp_path}; the same command goes on."]
 
 
 def test_the_hypergradients_of_an_own_problem_are_compared(own, tmp_path):

@@ -7,6 +7,7 @@
 #include <string.h>
 
 static const real DIFFERENCE = (real)1e-6; /* step of a difference quotient, relative: truncation 1e-12, rounding 1e-10 */
+static const real WIDE = (real)1e-4;       /* over which most problems look straight */
 static const real CLOSER = (real)0.1;      /* of two steps the shorter one; jumps do not shrink with it */
 static const real ENOUGH = (real)1e-3;     /* disagreement above which the shorter step is tried, too */
 static const real ROUNDING = (real)1e-12;  /* of the conditions, relative, with a margin by which kinks are told from it */
@@ -141,16 +142,24 @@ static real kink(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, real lagrangian, 
   return worse(worst, disagreement(left + i, here + i, right + i, slope + i, units + i, n - i, whole, 0));
 }
 
+/* Of the difference: where a Newton step still moves the solution, long enough to reach a kink within its error, at which other
+ * entries of x than the longest of the move may be. */
+static real over_length(real error) {
+  const real wide = kpirl_mpc_larger(10 * error, kpirl_mpc_smaller(100 * error, WIDE));
+  return kpirl_mpc_larger(DIFFERENCE, wide);
+}
+
 real kpirl_mpc_kink_along(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *direction) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n = n_conditions(s);
   const real size = largest_share(s, direction);
-  real *here = k->work, *units = here + n, *move = units + n, *work = move + n_w, error = (real)INFINITY, length = DIFFERENCE, lagrangian;
+  real *here = k->work, *units = here + n, *move = units + n, *work = move + n_w, error = (real)INFINITY;
+  real length = over_length(k->step), lagrangian;
   int i, j;
   if (size == 0) return 0;
   find_units(k, units);
   lagrangian = conditions(k, core, &k->numbers, k->point.x, here);
-  for (j = 0; j < 2 && !(error <= ENOUGH); ++j, length *= CLOSER) {
+  for (j = length > DIFFERENCE; j < 2 && !(error <= ENOUGH); ++j, length *= CLOSER) {
     for (i = 0; i < n_w; ++i) move[i] = length / size * direction[i];
     error = kpirl_mpc_smaller(error, kink(k, core, lagrangian, here, units, move, work));
   }
