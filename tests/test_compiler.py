@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.codegen import library_cache
 from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels
+from kpirl_ocp.ocp.interior_point.machine_code import MachineCode
 
 needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")
 
@@ -292,6 +294,30 @@ def test_stage_functions_are_compiled_again_where_their_library_is_not_as_it_was
         (library,) = cache.iterdir()
         assert library_cache.sound(library)
         library.write_bytes(DAMAGE[name](library.read_bytes()))
+
+
+@needs_compiler
+def test_threads_that_find_a_damaged_library_together_get_a_new_one(cache):
+    first = MachineCode([polynomial()], kernels=False)
+    first.wait()
+    (library,) = cache.iterdir()
+    content = library.read_bytes()
+    for _ in range(5):
+        library.unlink(missing_ok=True)
+        library.write_bytes(DAMAGE["not sealed"](content))
+        library.chmod(0o700)
+        code = MachineCode([polynomial()], kernels=False)
+
+        def look(code=code):
+            code.begin()
+            return code.addresses()
+
+        with warnings.catch_warnings(), ThreadPoolExecutor(8) as pool:
+            warnings.simplefilter("error", RuntimeWarning)
+            for waiting in [pool.submit(look) for _ in range(16)]:
+                waiting.result()
+            code.wait()
+            assert code.addresses()
 
 
 BROKEN = {

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -47,6 +49,7 @@ class MachineCode:
         self._process: subprocess.Popen[bytes] | None = None
         self._addresses: dict[str, int] | None = None
         self._given_up = False
+        self._lock = threading.Lock()  # of `begin`
 
     def addresses(self) -> dict[str, int] | None:
         """The functions' addresses by name if the library is there; never waits."""
@@ -69,8 +72,11 @@ class MachineCode:
 
     def begin(self) -> None:
         """Start a compiler in the background, unless the library is there or on its way."""
-        if self._path is not None or self._given_up:
-            return
+        with self._lock:
+            if self._path is None and not self._given_up:
+                self._begin()
+
+    def _begin(self) -> None:
         command = compiler.find_compiler()
         if command is None:
             self._given_up = True
@@ -78,22 +84,24 @@ class MachineCode:
         flags = compiler.FLAGS if self._kernels else FLAGS
         source = self._source()
         try:
-            self._path = place("stages", "\0".join([source, command, compiler.identity(command), *flags]))
+            path = place("stages", "\0".join([source, command, compiler.identity(command), *flags]))
         except (OSError, CompilerError) as error:
             self._give_up(f"{command} cannot be used ({error})")
             return
-        if not _there(self._path):
-            self._process = _start(command, flags, source, self._path)
+        if not _there(path):
+            self._process = _start(command, flags, source, path)
+        self._path = path  # last: other threads look for the library from now on
 
     def wait(self) -> None:
         """Until the library is there, or cannot be made; a long wait is announced."""
         self.begin()
-        if self._process is None:
+        process = self._process
+        if process is None:
             return
         operations = sum(f.n_instructions() for f in self._functions)
-        if self._process.poll() is None and operations > _LONG:
+        if process.poll() is None and operations > _LONG:
             print(f"compiling {operations} operations of {self._functions[0].name()} (once) ...", file=sys.stderr)
-        if self._process.wait():
+        if process.wait():
             self._give_up(f"the compiler could not make {self._path}")
 
     def _give_up(self, reason: str) -> None:
@@ -155,6 +163,15 @@ def machine_code(problem: OCP) -> MachineCode:
 def _machine_code_of(problem: OCP, build: Build) -> MachineCode:
     """That of a function of the problem on its own."""
     return MachineCode([build(problem)], kernels=False)
+
+
+def _forget() -> None:
+    """Begin anew in a forked process, where a lock may have been held."""
+    machine_code.cache_clear()
+    _machine_code_of.cache_clear()
+
+
+os.register_at_fork(after_in_child=_forget)
 
 
 def prepare_function(problem: OCP, build: Build, wish: Compile, evaluations: int) -> int | None:
