@@ -14,6 +14,10 @@ from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.cli.imitation.learned_dynamics import Plan, in_half_images
 from kpirl_ocp.cli.main import run
 from kpirl_ocp.episodes import read_episode
+from kpirl_ocp.errors import FileError
+from kpirl_ocp.irl.visual.learning import CONVERGED
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost, read_planning_cost, write_planning_cost
+from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.motions import Placing
 from kpirl_ocp.perception.data.recordings import ArmRecording
@@ -48,6 +52,29 @@ def test_an_arm_repeats_a_film_with_dynamics_that_were_learned(placing, tmp_path
     assert np.shape(results["weights"]) == (10, 8)
     assert (tmp_path / "c" / "Makefile").exists()
     assert (tmp_path / "paths.png").stat().st_size > 0
+    again = [*MODELS, "--steps", "10", "--starts", "1", "--cost", str(tmp_path / "cost.json")]
+    assert run(["learn-video", str(placing), *again, "--out", str(tmp_path / "again")]) == 0, capsys.readouterr()
+    assert not (tmp_path / "again" / "cost.json").exists()
+    found = json.loads((tmp_path / "again" / "metrics.json").read_text())["results"]
+    np.testing.assert_allclose(found["planned"], results["planned"], rtol=1e-5)
+
+
+def test_a_cost_over_detected_keypoints_survives_the_disk_and_fits_its_dynamics_alone(tmp_path):
+    dynamics = load_dynamics(shipped_model("placing"))
+    cost = PlanningCost(np.arange(24.0).reshape(3, 8), np.ones(3), CONVERGED)
+    path = write_planning_cost(tmp_path / "cost.json", cost, dynamics)
+    found = read_planning_cost(path, dynamics)
+    np.testing.assert_array_equal(found.weights, cost.weights)
+    np.testing.assert_array_equal(found.efforts, cost.efforts)
+    assert found.solver == CONVERGED
+    content = json.loads(path.read_text())
+    assert (content["unit"], content["rate"]) == ("half an image", 1.0)
+    path.write_text(json.dumps(content | {"joints": 6}))
+    with pytest.raises(FileError, match="6 joints; the dynamics have 4 keypoints and 7 joints"):
+        read_planning_cost(path, dynamics)
+    path.write_text("{}")
+    with pytest.raises(FileError, match="not a cost over detected keypoints"):
+        read_planning_cost(path, dynamics)
 
 
 def test_a_plan_begins_where_a_recording_of_the_arm_does(placing, tmp_path):
@@ -87,7 +114,6 @@ def test_a_film_in_which_the_detector_does_not_see_its_object_is_refused(tmp_pat
     [
         ([MODELS[1]], "--dynamics: needs --detector"),
         (["--recording", __file__], "--recording: needs --dynamics"),
-        ([*MODELS, "--cost", __file__], "--cost: not with --dynamics"),
         ([*MODELS, "--robot", "ur5"], "--robot: not with --dynamics"),
     ],
 )

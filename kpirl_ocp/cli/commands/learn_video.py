@@ -57,9 +57,8 @@ def _check(args: Namespace) -> None:
         raise OptionError("--dynamics: needs --detector, the one through which the dynamics were learned")
     if args.recording and not args.dynamics:
         raise OptionError("--recording: needs --dynamics, learned from such recordings")
-    if args.dynamics and (args.cost or (args.robot != "iiwa" and not args.recording)):
-        given = "--cost" if args.cost else "--robot"
-        raise OptionError(f"{given}: not with --dynamics, whose arm is that of --recording, or the iiwa in the scene")
+    if args.dynamics and args.robot != "iiwa" and not args.recording:
+        raise OptionError("--robot: not with --dynamics, whose arm is that of --recording, or the iiwa in the scene")
 
 
 def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:

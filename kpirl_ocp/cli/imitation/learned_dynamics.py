@@ -21,13 +21,12 @@ from kpirl_ocp.irl.visual.camera_learning import learn_on, path_distance
 from kpirl_ocp.irl.visual.closed_loop import KeypointController
 from kpirl_ocp.irl.visual.demonstrations import positions, transferred_demonstration
 from kpirl_ocp.irl.visual.learning import CONVERGED
-from kpirl_ocp.irl.visual.planning_costs import PlanningCost
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost, read_planning_cost, write_planning_cost
 from kpirl_ocp.ocp.export.folder import export_c
 from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
 from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, TimeDependent
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
-from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.perception.data.recordings import read_arm_film
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.keypoints import to_pixels
@@ -52,15 +51,6 @@ class SeenArm:
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
-    """A learned cost: the problem with its parameters free, the cost that is planned with, and how it was learned."""
-
-    problem: OCP
-    planning: PlanningCost
-    history: LearningResult
-
-
-@dataclass(frozen=True, eq=False)
 class Plan:
     """A plan of T steps as a file: keypoints (T+1, K, 2) [half an image], joints (T+1, n_joints) and actions [rad]."""
 
@@ -82,8 +72,8 @@ def imitate(args: Namespace, tracks: Tracks) -> int:
     person = in_half_images(tracks, args.steps, 1.0 if args.scale is None else args.scale)
     arms = [_recorded(detector, args.recording)] if args.recording else _in_scene(detector, person, args)
     demonstrations = [transferred_demonstration(dynamics, person, arm.keypoints, arm.joints) for arm in arms]
-    learned = _learn(dynamics, demonstrations[0], args.iterations)
-    controller = KeypointController.build(dynamics, learned.planning)
+    cost, history = _cost(args, dynamics, demonstrations[0])
+    controller = KeypointController.build(dynamics, cost)
     plans = [controller.plan(demo.s0, demo.context).raise_if_failed() for demo in demonstrations]
     files = [_as_file(plan, dynamics) for plan in plans]
     paths = [plan.keypoints.reshape(len(plan.keypoints), -1) for plan in files]
@@ -92,22 +82,30 @@ def imitate(args: Namespace, tracks: Tracks) -> int:
     write_episode(args.out / "plan.npz", files[0])
     print(f"plan:    {args.out / 'plan.npz'}")
     print(f"figure:  {_draw(args.out / 'paths.png', demonstrations, done or paths)}")
-    _report(args, learned, planned, executed)
+    _report(args, cost, history, planned, executed)
     if args.export:
-        start, psi = demonstrations[0], learned.history.psi
-        folder = export_c(learned.problem, CONVERGED, args.out / "c", psi=psi, examples=[(start.s0, start.context)])
-        print(f"C:       {folder}")
+        example = [(demonstrations[0].s0, demonstrations[0].context)]
+        print(f"C:       {export_c(controller.problem, CONVERGED, args.out / 'c', psi=cost.psi, examples=example)}")
     return 0 if all(distance < 0.1 for distance in executed or planned) else 1
 
 
-def _learn(dynamics: NetworkDynamics, demonstration: Demonstration, iterations: int) -> Learned:
-    """Time-dependent weights and one effort weight."""
+def _cost(
+    args: Namespace, dynamics: NetworkDynamics, demonstration: Demonstration
+) -> tuple[PlanningCost, LearningResult | None]:
+    """Learned time-dependent weights and one effort weight, written to OUT; or the cost of --cost."""
     horizon = len(demonstration.observations) - 1
-    cost = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
-    problem = network_ocp(dynamics, cost, horizon)
-    psi0 = cost.initial(horizon, dynamics.n_z, np.full((horizon, dynamics.n_z), 10.0))
-    result = learn_on(problem, demonstration, psi0, iterations)
-    return Learned(problem, PlanningCost.of(cost, result.psi, horizon, dynamics.n_z, CONVERGED), result)
+    if args.cost:
+        cost = read_planning_cost(args.cost, dynamics)
+        if cost.horizon != horizon:
+            raise OptionError(f"--cost: {args.cost} has T = {cost.horizon}, --steps says {horizon}")
+        return cost, None
+    family = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
+    problem = network_ocp(dynamics, family, horizon)
+    psi0 = family.initial(horizon, dynamics.n_z, np.full((horizon, dynamics.n_z), 10.0))
+    history = learn_on(problem, demonstration, psi0, args.iterations)
+    cost = PlanningCost.of(family, history.psi, horizon, dynamics.n_z, CONVERGED)
+    print(f"cost:    {write_planning_cost(args.out / 'cost.json', cost, dynamics)}")
+    return cost, history
 
 
 def _distance(path: Array, demonstration: Demonstration) -> float:
@@ -182,10 +180,12 @@ def _draw(path: Path, demonstrations: list[Demonstration], paths: list[Array]) -
     return figures.save(figure, path)
 
 
-def _report(args: Namespace, learned: Learned, planned: list[float], executed: list[float]) -> None:
+def _report(
+    args: Namespace, cost: PlanningCost, history: LearningResult | None, planned: list[float], executed: list[float]
+) -> None:
     rows = [[f"start {i + 1}", far, executed[i] if executed else "-"] for i, far in enumerate(planned)]
-    print(f"\nIRL {learned.history}\n")
+    print(f"\nIRL {history}\n" if history else "")
     print(table(["relative distance to the path", "planned", "executed"], rows) + "\n")
-    results = {"planned": planned, "executed": executed, "losses": learned.history.losses}
-    results |= {"weights": learned.planning.weights, "efforts": learned.planning.efforts}
+    results = {"planned": planned, "executed": executed, "losses": history.losses if history else []}
+    results |= {"weights": cost.weights, "efforts": cost.efforts}
     print(f"numbers: {write_metrics(args.out, vars(args), results)}")

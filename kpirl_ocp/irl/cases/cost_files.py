@@ -106,7 +106,7 @@ class LearnedCost:
             "positivity": self.cost.positivity,
             "psi": self.psi.tolist(),
             "horizon": self.horizon,
-            "solver": _name_of(SOLVERS, self.solver) | asdict(self.solver),
+            "solver": solver_as_json(self.solver),
             "arm": _setting_as_json(self.setting),
             "start": self.start.tolist(),
             "displacement": self.displacement.tolist(),
@@ -130,7 +130,7 @@ class LearnedCost:
                 learn_effort=content["learn_effort"],
                 positivity=content["positivity"],
             )
-            learned = cls(cost, np.array(content["psi"], float), content["horizon"], _build(SOLVERS, content["solver"]))
+            learned = cls(cost, np.array(content["psi"], float), content["horizon"], solver_of_json(content["solver"]))
             return replace(
                 learned,
                 setting=_setting_of_json(content.get("arm", {})),
@@ -147,6 +147,17 @@ class LearnedCost:
 def make_basis(name: str) -> Basis:
     """A basis by the name the scripts use."""
     return BASES[name]()
+
+
+def solver_as_json(solver: GradientDescent | Riccati | Ipopt) -> dict[str, Any]:
+    """Kind and settings of a solver."""
+    return _name_of(SOLVERS, solver) | asdict(solver)
+
+
+def solver_of_json(content: dict[str, Any]) -> GradientDescent | Riccati | Ipopt:
+    """The solver of `solver_as_json`. Raises KeyError or TypeError if the content is of something else."""
+    solver: GradientDescent | Riccati | Ipopt = _build(SOLVERS, content)
+    return solver
 
 
 def _setting_as_json(setting: ArmSetting) -> dict[str, Any]:

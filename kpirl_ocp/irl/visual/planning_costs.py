@@ -7,13 +7,16 @@ the steps beyond the horizon get no weight.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import FileError, ProblemError
+from kpirl_ocp.irl.cases.cost_files import solver_as_json, solver_of_json
 from kpirl_ocp.ocp.models.keypoint_costs import Default, KeypointCost, TimeDependent
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
@@ -21,6 +24,8 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.types import Array
+
+_KIND = "kpirl_ocp.visual_cost"
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +69,44 @@ class PlanningCost:
             weights=np.vstack([self.weights[steps:], np.zeros_like(self.weights[:steps])]),
             efforts=np.concatenate([self.efforts[steps:], past_the_end]),
         )
+
+
+def write_planning_cost(path: Path, cost: PlanningCost, dynamics: NetworkDynamics) -> Path:
+    """Write a JSON file with the cost, and the keypoints, joints and rate of the dynamics it was learned with."""
+    content = {
+        "kind": _KIND,
+        "keypoints": dynamics.n_z // 2,
+        "unit": "half an image",
+        "joints": dynamics.n_joints,
+        "rate": dynamics.rate,
+        "weights": cost.weights.tolist(),
+        "efforts": cost.efforts.tolist(),
+        "solver": solver_as_json(cost.solver),  # type: ignore[arg-type]
+    }
+    path.write_text(json.dumps(content, indent=2) + "\n")
+    return path
+
+
+def read_planning_cost(path: Path, dynamics: NetworkDynamics) -> PlanningCost:
+    """The cost of a file that `write_planning_cost` wrote, for dynamics of the same keypoints and joints.
+
+    Raises FileError if the file holds something else, or the cost is for other dynamics.
+    """
+    try:
+        content = json.loads(path.read_text())
+        kind = content["kind"]
+        cost = PlanningCost(
+            np.array(content["weights"], float), np.array(content["efforts"], float), solver_of_json(content["solver"])
+        )
+        sizes = content["keypoints"], content["joints"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileError(f"{path} is not a cost over detected keypoints: {error!r}.") from error
+    if kind != _KIND or cost.weights.shape != (len(cost.efforts), 2 * sizes[0]):
+        raise FileError(f"{path} is not a cost over detected keypoints.")
+    if sizes != (dynamics.n_z // 2, dynamics.n_joints):
+        needed = f"{dynamics.n_z // 2} keypoints and {dynamics.n_joints} joints"
+        raise FileError(f"{path} is for {sizes[0]} keypoints and {sizes[1]} joints; the dynamics have {needed}.")
+    return cost
 
 
 @lru_cache(maxsize=8)
