@@ -24,6 +24,8 @@ published value falls with the number of steps T. Published values are those of 
 `gradient`: largest error of the certified implicit gradient of a linear loss by s0 and psi, relative to extrapolated
 differences; `psi`: relative error of the parameters learned from one plan, starting at 1.2 psi. Both are of problems
 with about 40 and 25 steps (see `coarse` in tests/reference/checks.py); a dash: there is no psi.
+
+Made by `python scripts/reference_suite.py --out docs/results/reference_suite.md`.
 """
 
 
