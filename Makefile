@@ -5,8 +5,16 @@
 # make benchmark: timings beside torch, JAX, Fatrop and Ipopt.
 # make hands: the networks that find hands in films, from the package registry; for kpirl learn-video.
 # make models: camera data, keypoint detector and dynamics at the paper's scale (SEED=0, MODELS=out/models).
-PYTHON ?= $(firstword $(shell command -v python3.11 python3.10 python3))
+# With PYTHON=python3.13, .venv is made with another Python than the first of these that runs.
+RUNS = for python in python3.11 python3.10 python3.12 python3.13 python3; do $$python -c "" 2>&- && echo $$python; done
+PYTHON ?= $(firstword $(shell $(RUNS)))
 BIN := .venv/bin
+WHICH = $(shell $(1) -c "import sys; print('%d.%d' % sys.version_info[:2])")
+ifneq ($(and $(filter-out file,$(origin PYTHON)),$(wildcard $(BIN)/python)),)
+ifneq ($(call WHICH,$(PYTHON)),$(call WHICH,$(BIN)/python))
+$(error .venv holds Python $(call WHICH,$(BIN)/python), not $(PYTHON): remove .venv first)
+endif
+endif
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
@@ -73,8 +81,9 @@ test: .venv/installed-test
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
 
-.venv/installed: pyproject.toml constraints.txt
-	$(PYTHON) -m venv .venv
+# The C sources as well: the core is built anew after a pull that changes them.
+.venv/installed: pyproject.toml constraints.txt setup.py $(wildcard kpirl_ocp/ocp/interior_point/c/*.[ch])
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
 	touch $@
 

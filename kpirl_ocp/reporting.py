@@ -1,11 +1,11 @@
-"""The frame of every script: readable errors, settings and versions beside the results, tables."""
+"""The written results of commands and scripts: settings and versions beside the numbers, tables."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import platform
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -13,29 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.errors import KpirlError
-
 _PACKAGES = ("kpirl-ocp", "casadi", "pin", "numpy", "scipy", "pybullet", "torch")
-
-
-def run(main: Callable[[], None]) -> None:
-    """Run a script; an error that the user can mend is one line on stderr and exit code 2."""
-    try:
-        main()
-    except (KpirlError, OSError) as error:
-        sys.exit(_fail(str(error)))
-
-
-def _fail(message: str) -> int:
-    print(f"error: {message}", file=sys.stderr)
-    return 2
-
-
-def output_directory(path: str | Path) -> Path:
-    """The directory, made if it does not exist."""
-    directory = Path(path)
-    directory.mkdir(parents=True, exist_ok=True)
-    return directory
 
 
 def write_metrics(directory: Path, settings: Mapping[str, Any], results: Mapping[str, Any]) -> Path:
@@ -45,6 +23,18 @@ def write_metrics(directory: Path, settings: Mapping[str, Any], results: Mapping
     content = {"settings": settings, "versions": versions, "results": results}
     path.write_text(json.dumps(content, indent=2, default=_plain) + "\n")
     return path
+
+
+@contextlib.contextmanager
+def kept_if_interrupted(
+    directory: Path, settings: Mapping[str, Any], results: Mapping[str, Any], progress: Callable[[], str]
+) -> Iterator[None]:
+    """A block in which Ctrl-C writes `metrics.json` with the results so far, and says how much `progress` there was."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        path = write_metrics(directory, settings, results)
+        raise KeyboardInterrupt(f"{progress()} are in {path}") from None
 
 
 def _version(package: str) -> str:

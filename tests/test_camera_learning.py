@@ -6,6 +6,11 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+
+pytest.importorskip("av")
+pytest.importorskip("cv2")
+pytest.importorskip("pybullet")
+pytest.importorskip("torch")
 from films import film, pose
 
 from kpirl_ocp.cli.imitation.arm import Scale, arm_for, other_starts

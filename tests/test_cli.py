@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from dataclasses import fields
-from pathlib import Path
 
 import pytest
 import yaml
@@ -67,8 +66,7 @@ def broken():
 
 def kpirl(*words, cwd=None):
     command = [sys.executable, "-m", "kpirl_ocp.cli", *map(str, words)]
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=cwd, env=environment)
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=cwd)
 
 
 def refusal(words, capsys):
@@ -323,7 +321,7 @@ CONFIGS = {  # text, sentence
     "hrizon: 3": "config.yaml: there is no option 'hrizon': did you mean 'horizon'?",
     "horizon: -3": "config.yaml: --horizon: expected a whole number of at least 1, got '-3'.",
     "move: [1, 2]": "config.yaml: --move: expected 3 arguments.",
-    "command: learn": "config.yaml has the options of `kpirl learn`, not of `kpirl solve`.",
+    "command: learn": "config.yaml has the options of learn, not of solve.",
     "- horizon": "config.yaml must be a mapping from options to values.",
     "a: [": "config.yaml is not a YAML file",
 }
@@ -357,10 +355,7 @@ def test_quiet_prints_nothing(words, tmp_path):
 def interrupted(words, tmp_path, sign):
     """Exit code, and lines on stderr but for progress, of a command that gets Ctrl-C when `sign` is seen there."""
     command = [sys.executable, "-m", "kpirl_ocp.cli", *words, "--out", str(tmp_path)]
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
-    process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment, start_new_session=True
-    )
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
     seen = b""
     while sign not in seen and process.poll() is None:
         seen += os.read(process.stderr.fileno(), 4096)

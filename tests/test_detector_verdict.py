@@ -4,6 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+pytest.importorskip("cv2")
+pytest.importorskip("torch")
 import torch
 from test_detector import CLIPS, FILMS, TINY, film
 

@@ -36,9 +36,8 @@ def test_the_code_of_a_page_prints_what_its_comments_promise(name, tmp_path, mon
     monkeypatch.chdir(tmp_path)
     program = "\n".join(CODE[name])
     if "jax" in NEEDS.get(name, ()):  # sets precision for the whole process
-        environment = os.environ | {"PYTHONPATH": str(ROOT)}
         command = [sys.executable, "-c", program]
-        ran = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+        ran = subprocess.run(command, capture_output=True, text=True, check=False)
         assert ran.returncode == 0, ran.stderr
         printed = ran.stdout
     else:

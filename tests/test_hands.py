@@ -4,9 +4,11 @@ import json
 import os
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+
+pytest.importorskip("cv2")
+import cv2
 
 from kpirl_ocp.errors import DependencyError
 from kpirl_ocp.perception.data.video import iterate_frames

@@ -2,6 +2,10 @@
 
 import numpy as np
 import pytest
+
+pytest.importorskip("av")
+pytest.importorskip("cv2")
+pytest.importorskip("torch")
 import torch
 
 from kpirl_ocp.episodes import write_episodes

@@ -205,6 +205,6 @@ def test_nothing_to_learn_from_is_refused(teacher):
 
 
 def test_the_commands_numbers_are_those_of_the_settings():
-    parser = build_parser("train-robust", options_of("train-robust"))
+    parser = build_parser("train-robust", "", options_of("train-robust").add_options)
     args = parser.read(["--teacher", __file__])
     assert (args.steps, args.batch) == (RobustSettings().steps, RobustSettings().batch)

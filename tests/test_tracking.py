@@ -6,6 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+pytest.importorskip("av")
+pytest.importorskip("cv2")
 from films import HEIGHT, WALL, WIDTH, film, pose
 
 from kpirl_ocp.errors import DemonstrationError, FileError

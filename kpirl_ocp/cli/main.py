@@ -5,13 +5,12 @@ Exit codes: 0, 1 for a result that is not what was asked for, 2 for wrong input,
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import inspect
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 
@@ -55,10 +54,23 @@ def script(command: str) -> None:
     main([command, *sys.argv[1:]])
 
 
+def experiment(description: str, add_options: Callable[[Parser], None], module: str) -> None:
+    """A script with options of its own, of the command line, whose work is `main(args)` of a module. Exits.
+
+    The module is imported once the options are known to be right.
+    """
+    parser = build_parser(Path(sys.argv[0]).name, description, add_options)
+    sys.exit(_with_sentences(lambda: _read_and_work(parser, sys.argv[1:], module)))
+
+
 def run(words: Sequence[str]) -> int:
     """Run a command line and give the exit code; an error that the user can mend is one line on stderr."""
+    return _with_sentences(lambda: _dispatch(list(words)))
+
+
+def _with_sentences(work: Callable[[], int]) -> int:
     try:
-        return _dispatch(list(words))
+        return work()
     except (KpirlError, OSError) as error:
         print(f"error: {_sentence(error)}", file=sys.stderr)
         return 2
@@ -74,21 +86,18 @@ def _dispatch(words: list[str]) -> int:
     command = words[0]
     if command not in COMMANDS:
         raise OptionError(f"there is no command {command!r}{suggestion(command, COMMANDS)} (see `kpirl --help`)")
-    parser = build_parser(command, options_of(command))
-    try:
-        args = parser.read(words[1:])
-    except SystemExit:  # after --help
-        return 0
-    return _work(command, parser, args)
+    options = options_of(command)
+    parser = build_parser(f"kpirl {command}", inspect.getdoc(options) or "", options.add_options)
+    return _read_and_work(parser, words[1:], _module_name("commands", command))
 
 
 def options_of(command: str):  # type: ignore[no-untyped-def]
     """The module with the options of a command."""
-    return _module("options", command)
+    return import_module(_module_name("options", command))
 
 
-def _module(room: str, command: str):  # type: ignore[no-untyped-def]
-    return import_module(f"kpirl_ocp.cli.{room}.{command.replace('-', '_')}")
+def _module_name(room: str, command: str) -> str:
+    return f"kpirl_ocp.cli.{room}.{command.replace('-', '_')}"
 
 
 def usage() -> str:
@@ -97,28 +106,33 @@ def usage() -> str:
     return USAGE.format(commands="\n".join(lines))
 
 
-def _work(command: str, parser: Parser, args: argparse.Namespace) -> int:
+def _read_and_work(parser: Parser, words: list[str], module: str) -> int:
+    try:
+        args = parser.read(words)
+    except SystemExit:  # after --help
+        return 0
     prepare_directory(args.out)
     with _hushed(args.quiet):
         try:
-            code, stopped = _module("commands", command).main(args) or 0, None
+            code, stopped = import_module(module).main(args) or 0, None
         except KeyboardInterrupt as stop:
             code, stopped = 130, str(stop) or "nothing was saved"
         except ModuleNotFoundError as error:
-            raise _missing(command, error) from error
+            raise _missing(parser.prog, error) from error
     write_config(args.out / "config.yaml", parser, args)
     if stopped:
         print(f"interrupted: {stopped}.", file=sys.stderr)
     return code
 
 
-def _missing(command: str, error: ModuleNotFoundError) -> Exception:
+def _missing(program: str, error: ModuleNotFoundError) -> Exception:
     package = (error.name or "").split(".")[0]
     if package not in EXTRAS:
         return error
-    return DependencyError(
-        f'`kpirl {command}` needs {package}, which is not installed: pip install "kpirl-ocp[{EXTRAS[package]}]"'
-    )
+    remedy = f'pip install "kpirl-ocp[{EXTRAS[package]}]"'
+    if package == "pybullet" and sys.version_info >= (3, 12):
+        remedy = "it has no wheels for Python 3.12 and later, make an environment with Python 3.11 or 3.10"
+    return DependencyError(f"`{program}` needs {package}, which is not installed: {remedy}")
 
 
 def prepare_directory(path: Path) -> None:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NoReturn
 
 import yaml
@@ -33,7 +31,7 @@ class Parser(argparse.ArgumentParser):
 
     @property
     def command(self) -> str:
-        """The name of the subcommand."""
+        """The name of the subcommand, or of the script."""
         return self.prog.split()[-1]
 
     def error(self, message: str) -> NoReturn:
@@ -74,7 +72,7 @@ class Parser(argparse.ArgumentParser):
         options, words, given = self.options(), [], {}
         for name, value in read_config(config).items():
             if name == "command" and value != self.command:
-                raise OptionError(f"{config} has the options of `kpirl {value}`, not of `{self.prog}`")
+                raise OptionError(f"{config} has the options of {value}, not of {self.command}")
             dest = str(name).replace("-", "_")
             if name != "command" and dest not in options:
                 raise OptionError(f"{config}: there is no option {name!r}{suggestion(dest, options)}")
@@ -101,12 +99,13 @@ def _words(action: argparse.Action, value: Any) -> list[str]:
     return name + [str(item) for item in (value if isinstance(value, list) else [value])]
 
 
-def build_parser(command: str, options: ModuleType) -> Parser:
-    """The parser of a subcommand from its module of options."""
-    parser = Parser(f"kpirl {command}", inspect.getdoc(options) or "")
-    options.add_options(parser)
+def build_parser(program: str, description: str, add_options: Callable[[Parser], None]) -> Parser:
+    """The parser of a program: its own options, and those that all have."""
+    parser = Parser(program, description)
+    add_options(parser)
     if "out" not in parser.options():
-        parser.add_argument("--out", type=Path, default=Path("out") / command, help="directory (default: %(default)s)")
+        place = Path("out") / Path(parser.command).stem
+        parser.add_argument("--out", type=Path, default=place, help="directory (default: %(default)s)")
     parser.add_argument(
         "--config", type=existing_file, metavar="FILE.yaml", help="options; the command line goes first"
     )

@@ -10,16 +10,17 @@ from pathlib import Path
 from kpirl_ocp.spelling import suggestion
 
 
-def whole(least: int) -> Callable[[str], int]:
-    """Whole numbers of at least `least`."""
+def whole(least: int, most: int | None = None) -> Callable[[str], int]:
+    """Whole numbers of at least `least`, and of at most `most`."""
+    expected = f"a whole number of at least {least}" if most is None else f"a whole number from {least} to {most}"
 
     def parse(word: str) -> int:
         try:
             value = int(word)
         except ValueError:
             value = least - 1
-        if value < least:
-            raise ArgumentTypeError(f"expected a whole number of at least {least}, got {word!r}")
+        if value < least or (most is not None and value > most):
+            raise ArgumentTypeError(f"expected {expected}, got {word!r}")
         return value
 
     return parse

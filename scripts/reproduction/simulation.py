@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
 from experiments.apprenticeship_variants import Variant, run_variants
-from experiments.study import Case, StudySettings, run_case
+from experiments.study import Case, Curve, StudySettings, run_case
 
 from kpirl_ocp.irl.cases.tasks import TASKS, write_demonstrations
 from kpirl_ocp.ocp.models.robot import Robot
@@ -20,11 +20,12 @@ from reproduction.sweep import Job, Result
 def jobs(preset: Preset, seeds: Sequence[int]) -> list[Job]:
     """One for every task and seed."""
     settings = StudySettings(iterations=preset.study_iterations, tests=preset.study_tests)
-    return [
-        Job(f"simulation/{task}-{seed}", run, {"task": task, "seed": seed, "settings": settings})
-        for task in TASKS
-        for seed in seeds
-    ]
+    return [job_of(task, seed, settings) for task in TASKS for seed in seeds]
+
+
+def job_of(task: str, seed: int, settings: StudySettings) -> Job:
+    """All methods on one task and seed."""
+    return Job(f"simulation/{task}-{seed}", run, {"task": task, "seed": seed, "settings": settings})
 
 
 def run(task: str, seed: int, settings: StudySettings) -> Result:
@@ -40,6 +41,11 @@ def run(task: str, seed: int, settings: StudySettings) -> Result:
     for name, variant in run_variants(case).items():
         found |= {f"variants/{name}/{field}": np.array(value) for field, value in asdict(variant).items()}
     return found
+
+
+def curve_of(found: Result, method: str) -> Curve:
+    """The curve of a method in the result of a job."""
+    return Curve(**{field.name: found[f"{method}/{field.name}"] for field in fields(Curve)})
 
 
 def variants_of(found: Result) -> dict[str, Variant]:

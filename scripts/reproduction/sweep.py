@@ -1,8 +1,8 @@
 """A sweep: many independent jobs, in parallel here or on a cluster, each result kept on disk as soon as it is there.
 
 A job is a plain function with plain arguments that returns a flat dictionary of numbers and arrays. Its result is
-stored under its name and a hash of all its arguments, so that a sweep that was stopped goes on, and results of other
-settings are never mixed in.
+stored under its name and a hash of all that it depends on (arguments, code, versions), so that a sweep that was stopped
+goes on, and results of other settings or of other code are never mixed in.
 """
 
 from __future__ import annotations
@@ -10,8 +10,12 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import inspect
+import tempfile
+import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +23,13 @@ import joblib
 import numpy as np
 from tqdm import tqdm
 
+import kpirl_ocp
 from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import DependencyError, ProblemError
 
 Result = dict[str, Any]
-BACKENDS = ("loky", "dask", "ray")
+# What jobs are made of: workers elsewhere have the package installed, but not these, and are sent them.
+SCRIPTS = tuple(Path(__file__).parents[1] / name for name in ("experiments", "reproduction"))
 
 
 @dataclass(frozen=True)
@@ -35,13 +41,27 @@ class Job:
     arguments: Mapping[str, Any]
 
     def path(self, directory: Path) -> Path:
-        """File of its result."""
-        code = hashlib.sha256(inspect.getsource(self.function).encode()).hexdigest()
-        key = joblib.hash((code, dict(self.arguments)))
+        """File of its result, named after all that it depends on."""
+        module = inspect.getmodule(self.function)
+        code = inspect.getsource(module or self.function)
+        key = joblib.hash((self.function.__qualname__, code, dict(self.arguments), package_state()))
         return directory / f"{self.name}-{key[:16]}.npz"
 
 
-def run_sweep(title: str, jobs: Sequence[Job], directory: Path, workers: int) -> dict[str, Result]:
+Runner = Callable[[Sequence[Job]], Iterator[tuple[str, Result]]]
+"""Runs jobs and gives names and results as they come."""
+
+
+@lru_cache
+def package_state() -> tuple[str, ...]:
+    """Versions of the package and of what computes for it, and a hash of the package's sources, as clones change."""
+    root, digest = Path(kpirl_ocp.__file__).parent, hashlib.sha256()
+    for path in sorted(path for path in root.rglob("*") if path.suffix in (".py", ".c", ".h")):
+        digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+    return kpirl_ocp.__version__, *map(version, ("casadi", "numpy", "scipy")), digest.hexdigest()
+
+
+def run_sweep(title: str, jobs: Sequence[Job], directory: Path, run: Runner) -> dict[str, Result]:
     """Results by name; what is on disk is read, the rest is run. Progress and time left go to stderr."""
     paths = {job.name: job.path(directory) for job in jobs}
     if len(paths) < len(jobs):
@@ -49,9 +69,7 @@ def run_sweep(title: str, jobs: Sequence[Job], directory: Path, workers: int) ->
     missing = [job for job in jobs if not paths[job.name].exists()]
     for path in paths.values():
         path.parent.mkdir(parents=True, exist_ok=True)
-    parallel = joblib.Parallel(workers, return_as="generator_unordered")
-    finished = parallel(joblib.delayed(_call)(job) for job in missing)
-    for name, result in tqdm(finished, title, initial=len(jobs) - len(missing), total=len(jobs), unit="job"):
+    for name, result in tqdm(run(missing), title, initial=len(jobs) - len(missing), total=len(jobs), unit="job"):
         with atomic_write(paths[name]) as file:
             np.savez_compressed(file, allow_pickle=False, **result)
     return {name: _read(path) for name, path in paths.items()}
@@ -67,63 +85,73 @@ def _read(path: Path) -> Result:
 
 
 @contextlib.contextmanager
-def backend(name: str, address: str | None, workers: int) -> Iterator[None]:
-    """Context in which joblib runs the jobs: "loky" here, "dask" or "ray" at an address (None: a cluster of `workers`).
+def backend(name: str, address: str | None, workers: int) -> Iterator[Runner]:
+    """The runner of jobs: "loky" here, "dask" or "ray" at an address (None: a cluster of `workers` processes here).
 
     A cluster's machines need the package, and the models at the same paths.
 
     Raises DependencyError if the package of a backend is not installed.
     """
-    try:
-        manager = {"loky": _loky, "dask": _dask, "ray": _ray}[name](address, workers)
-    except ImportError as error:
-        raise DependencyError(
-            f"--backend {name} needs its package: pip install 'kpirl-ocp[{name}]' ({error})."
-        ) from None
-    with manager:
-        yield
-
-
-def _loky(address: str | None, workers: int) -> contextlib.AbstractContextManager[Any]:
-    if address is not None:
-        raise ProblemError("--address is for --backend dask or ray; loky runs on this machine.")
-    return joblib.parallel_config("loky")
+    with contextlib.ExitStack() as stack:
+        try:
+            yield stack.enter_context({"loky": _loky, "dask": _dask, "ray": _ray}[name](address, workers))
+        except ModuleNotFoundError as error:
+            if error.name not in ("dask", "distributed", "ray"):
+                raise
+            raise DependencyError(f"--backend {name} needs its package: pip install 'kpirl-ocp[{name}]'.") from None
 
 
 @contextlib.contextmanager
-def _running_dask(address: str | None, workers: int) -> Iterator[None]:
+def _loky(address: str | None, workers: int) -> Iterator[Runner]:
+    if address is not None:
+        raise ProblemError("--address is for --backend dask or ray; loky runs on this machine.")
+    yield with_joblib(workers)
+
+
+def with_joblib(workers: int) -> Runner:
+    """Processes on this machine, or where joblib is configured to run."""
+    parallel = joblib.Parallel(workers, return_as="generator_unordered")
+    return lambda jobs: parallel(joblib.delayed(_call)(job) for job in jobs)
+
+
+@contextlib.contextmanager
+def _dask(address: str | None, workers: int) -> Iterator[Runner]:
     from dask.distributed import Client, LocalCluster
 
     with contextlib.ExitStack() as stack:
         if address is None:
             cluster = LocalCluster(workers, threads_per_worker=1, dashboard_address=None)
             address = stack.enter_context(cluster).scheduler_address
-        stack.enter_context(Client(address))
-        _send_by_value()
+        client = stack.enter_context(Client(address))
+        directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        client.upload_file(str(zip_scripts(directory / "kpirl_scripts.zip")))
         stack.enter_context(joblib.parallel_config("dask"))
-        yield
+        yield with_joblib(workers)
 
 
-def _dask(address: str | None, workers: int) -> contextlib.AbstractContextManager[Any]:
-    import dask.distributed  # noqa: F401  (to fail here and not later)
-
-    return _running_dask(address, workers)
-
-
-def _ray(address: str | None, workers: int) -> contextlib.AbstractContextManager[Any]:
+@contextlib.contextmanager
+def _ray(address: str | None, workers: int) -> Iterator[Runner]:
     import ray
-    from ray.util.joblib import register_ray
 
-    ray.init(address=address, num_cpus=workers if address is None else None)
-    register_ray()
-    _send_by_value()
-    return joblib.parallel_config("ray")
+    local = {} if address else {"num_cpus": workers, "include_dashboard": False}
+    ray.init(address=address or "local", runtime_env={"py_modules": [str(path) for path in SCRIPTS]}, **local)
+
+    def run(jobs: Sequence[Job]) -> Iterator[tuple[str, Result]]:
+        task = ray.remote(_call)
+        waiting = [task.remote(job) for job in jobs]
+        while waiting:
+            (done, *_), waiting = ray.wait(waiting)
+            yield ray.get(done)
+
+    try:
+        yield run
+    finally:
+        ray.shutdown()
 
 
-def _send_by_value() -> None:
-    """Workers elsewhere have the package installed, but not these scripts: send the scripts along."""
-    import cloudpickle
-
-    import reproduction
-
-    cloudpickle.register_pickle_by_value(reproduction)
+def zip_scripts(path: Path) -> Path:
+    """The scripts' modules in a file that Python can import from."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for file in (file for package in SCRIPTS for file in package.rglob("*.py")):
+            archive.write(file, file.relative_to(SCRIPTS[0].parent))
+    return path

@@ -14,7 +14,7 @@ from kpirl_ocp.cli.options.compare import PROBLEMS
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.learning.comparison import Measurement, case_of, learn_with_each, measure_all, methods, reference
 from kpirl_ocp.irl.learning.result import LearningResult
-from kpirl_ocp.reporting import table, write_metrics
+from kpirl_ocp.reporting import kept_if_interrupted, table, write_metrics
 
 
 def as_row(measurement: Measurement, resolution: float) -> list[object]:
@@ -80,11 +80,8 @@ def measure(source: str, args: Namespace, results: dict[str, object]) -> list[Me
     """Measure all methods into `results`; interrupted, write those that are done."""
     exact, done = np.asarray(results["reference"]), list[Measurement]()
     total = len(list(methods(case_of(source), args.steps)))
-    try:
+    with kept_if_interrupted(args.out, vars(args), results, lambda: f"{len(done)} of {total} measurements"):
         for measurement in tqdm(measure_all(source, args.steps, exact), "measuring", total, unit="method"):
             done.append(measurement)
             results["measurements"] = [asdict(m) for m in done]
-    except KeyboardInterrupt:
-        path = write_metrics(args.out, vars(args), results)
-        raise KeyboardInterrupt(f"{len(done)} of {total} measurements are in {path}") from None
     return done

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.loss import demonstrated_observations
+from kpirl_ocp.ocp.codegen.interrupts import call_solver
 from kpirl_ocp.ocp.conditions.program import transcribe
 from kpirl_ocp.ocp.problem.layout import equality_multipliers, given, limits, n_inequalities, pack
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -82,7 +83,7 @@ def single_level(
     ipopt = ca.nlpsol("single_level", "ipopt", nlp, {"ipopt": _IPOPT | {"max_iter": max_iterations}, **_QUIET})
     lower = np.full(nlp["x"].numel(), -np.inf)
     lower[: len(start)] = np.broadcast_to(np.asarray(least, float), start.shape)
-    result = ipopt(x0=np.concatenate(guesses), lbx=lower, ubx=np.inf, lbg=0, ubg=0)
+    result = call_solver(ipopt, x0=np.concatenate(guesses), lbx=lower, ubx=np.inf, lbg=0, ubg=0)
     stats = ipopt.stats()
     learned = np.array(result["x"]).ravel()[: len(start)]
     return SingleLevelResult(learned, float(result["f"]), bool(stats["success"]), str(stats["return_status"]))

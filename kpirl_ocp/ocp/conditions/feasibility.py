@@ -13,6 +13,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from kpirl_ocp.ocp.codegen.interrupts import call_solver
 from kpirl_ocp.ocp.conditions.program import limits_from, transcribe
 from kpirl_ocp.ocp.problem.layout import n_inequalities
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -34,7 +35,8 @@ def _infeasible_near(problem: OCP, w: Array, s0: Array, psi: Array, context: Arr
     p = np.concatenate([psi, context])
     _, g_I = np.split(np.array(values(w, p)).ravel(), [transcribe(problem).n_equalities])
     slack, n_w = np.maximum(-g_I, 0.0), len(w)
-    found = solver(
+    found = call_solver(
+        solver,
         x0=np.concatenate([w, slack]),
         p=p,
         lbx=np.concatenate([lower, np.zeros(len(slack))]),

@@ -10,8 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.codegen.interrupts import call_solver
 from kpirl_ocp.ocp.conditions.audit import audit
-from kpirl_ocp.ocp.conditions.program import limits_from, not_started, starting_point, trajectory_of, transcribe
+from kpirl_ocp.ocp.conditions.program import (
+    limits_from,
+    not_started,
+    starting_point,
+    trajectory_of,
+    transcribe,
+)
 from kpirl_ocp.ocp.problem.layout import bound_multipliers, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
@@ -74,7 +81,7 @@ class Ipopt:
         if isinstance(guess, Solution):
             arguments["lam_x0"] = bound_multipliers(guess.multipliers)
             arguments["lam_g0"] = program.multipliers(guess.multipliers)
-        result = solver(**arguments)
+        result = call_solver(solver, **arguments)
         return self._solution(problem, start, psi, context, result, solver.stats())
 
     def _solution(

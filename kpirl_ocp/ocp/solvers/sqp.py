@@ -15,9 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.codegen.interrupts import call_solver
 from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.conditions.feasibility import infeasible
-from kpirl_ocp.ocp.conditions.program import limits_from, not_started, starting_point, trajectory_of, transcribe
+from kpirl_ocp.ocp.conditions.program import (
+    limits_from,
+    not_started,
+    starting_point,
+    trajectory_of,
+    transcribe,
+)
 from kpirl_ocp.ocp.problem.layout import bound_multipliers, pack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
@@ -58,7 +65,7 @@ class SQP:
             known["lam_x0"] = bound_multipliers(guess.multipliers)
             known["lam_g0"] = transcribed.multipliers(guess.multipliers)
         p = np.concatenate([psi, context])
-        result = solver(x0=w, p=p, lbx=lower, ubx=upper, lbg=transcribed.lower, ubg=0.0, **known)
+        result = call_solver(solver, x0=w, p=p, lbx=lower, ubx=upper, lbg=transcribed.lower, ubg=0.0, **known)
         return self._solution(problem, start, psi, context, w, result, solver)
 
     def _solution(

@@ -1,0 +1,48 @@
+"""Ctrl-C in a solver of CasADi, which makes it a RuntimeError, or with Ipopt a status like others."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Any
+
+import casadi as ca
+
+
+def call_solver(solver: ca.Function, **arguments: Any) -> dict[str, ca.DM]:
+    """Call a solver of CasADi by its names of inputs. Raises KeyboardInterrupt if Ctrl-C came meanwhile."""
+    with _noting_ctrl_c() as came:
+        try:
+            result = solver(**arguments)
+        except RuntimeError:
+            if not came():
+                raise
+    if came():
+        raise KeyboardInterrupt
+    return result
+
+
+@contextlib.contextmanager
+def _noting_ctrl_c() -> Iterator[Callable[[], bool]]:
+    """A block whose value says whether Ctrl-C raised KeyboardInterrupt in it; only the main thread gets signals."""
+    raised: list[int] = []
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+        yield lambda: False
+        return
+
+    def note(number: int, frame: FrameType | None) -> None:
+        try:
+            handler(number, frame)
+        except KeyboardInterrupt:
+            raised.append(number)
+            raise
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: bool(raised)
+    finally:
+        signal.signal(signal.SIGINT, handler)
