@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,7 +20,7 @@ from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.codegen import library_cache
 from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels
-from kpirl_ocp.ocp.interior_point.machine_code import MachineCode
+from kpirl_ocp.ocp.interior_point import machine_code
 
 needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")
 
@@ -297,8 +298,12 @@ def test_stage_functions_are_compiled_again_where_their_library_is_not_as_it_was
 
 
 @needs_compiler
-def test_threads_that_find_a_damaged_library_together_get_a_new_one(cache):
-    first = MachineCode([polynomial()], kernels=False)
+def test_threads_that_find_a_damaged_library_together_get_a_new_one(cache, monkeypatch):
+    there = machine_code._there
+    monkeypatch.setattr(
+        machine_code, "_there", lambda library: [time.sleep(0.05), there(library)][1]
+    )  # others look now
+    first = machine_code.MachineCode([polynomial()], kernels=False)
     first.wait()
     (library,) = cache.iterdir()
     content = library.read_bytes()
@@ -306,7 +311,7 @@ def test_threads_that_find_a_damaged_library_together_get_a_new_one(cache):
         library.unlink(missing_ok=True)
         library.write_bytes(DAMAGE["not sealed"](content))
         library.chmod(0o700)
-        code = MachineCode([polynomial()], kernels=False)
+        code = machine_code.MachineCode([polynomial()], kernels=False)
 
         def look(code=code):
             code.begin()
