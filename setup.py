@@ -1,6 +1,10 @@
-"""The C libraries of the package, built at installation and loaded with ctypes; all else is in pyproject.toml."""
+"""The C libraries of the package, built at installation and loaded with ctypes, and the README as an index shows it.
+
+All else is in pyproject.toml.
+"""
 
 import platform
+import re
 from glob import glob
 from pathlib import Path
 
@@ -44,4 +48,16 @@ class PlatformWheel(bdist_wheel):
         return (interpreter, abi, platform) if self.root_is_pure else ("py3", "none", platform)
 
 
-setup(ext_modules=LIBRARIES, cmdclass={"build_ext": BuildLibraries, "bdist_wheel": PlatformWheel})
+def description() -> str:
+    """The README without pictures, their captions and links into the repository, which an index cannot follow."""
+    text = Path("README.md").read_text(encoding="utf-8")
+    text = re.sub(r"!\[[^\]]*\]\([^)]*\)\n\n\*.*?\*\n\n", "", text, flags=re.DOTALL)
+    return re.sub(r"\[([^\]]*)\]\((?!https?:)[^)]*\)", r"\1", text)
+
+
+setup(
+    ext_modules=LIBRARIES,
+    cmdclass={"build_ext": BuildLibraries, "bdist_wheel": PlatformWheel},
+    long_description=description(),
+    long_description_content_type="text/markdown",
+)
