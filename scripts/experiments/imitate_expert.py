@@ -67,7 +67,10 @@ def starting_states() -> torch.Tensor:
 
 
 def demonstrate(layer: OCPLayer, states: torch.Tensor) -> Plan:
-    """The expert's plans, begun at straight lines from the states (32, 4) to the goal, without force."""
+    """The expert's plans, begun at straight lines from the states (32, 4) to the goal, without force.
+
+    Raises SolveError where the layer's policy is to raise it: an expert that is not optimal teaches other weights.
+    """
     lines = torch.linspace(1, 0, HORIZON + 1).double()[:, None] * states[:, None]
     with torch.no_grad():
         guesses = guesses_of(torch.zeros(DEMONSTRATIONS, HORIZON, 1), lines)
@@ -106,7 +109,12 @@ class Imitation:
         """Learned weights (4,)."""
         free = torch.logit((torch.tensor(start).double() - LOWER) / (UPPER - LOWER)).requires_grad_()
         optimiser = torch.optim.LBFGS(
-            [free], max_iter=100, line_search_fn="strong_wolfe", tolerance_grad=1e-10, tolerance_change=1e-12
+            [free],
+            max_iter=100,
+            max_eval=400,  # more than by default, for line searches across jumps of the loss
+            line_search_fn="strong_wolfe",
+            tolerance_grad=1e-10,
+            tolerance_change=1e-12,
         )
 
         def closure() -> torch.Tensor:
@@ -118,8 +126,8 @@ class Imitation:
 
 
 def main(args: Namespace) -> None:
-    layer, states = OCPLayer(cart_pole(), Riccati(max_iterations=2000), policy="mask"), starting_states()
-    expert = demonstrate(layer, states)
+    problem, solver, states = cart_pole(), Riccati(max_iterations=2000), starting_states()
+    expert, layer = demonstrate(OCPLayer(problem, solver), states), OCPLayer(problem, solver, policy="mask")
     results: dict[str, list[float]] = {"errors": [], "gradients": [], "left_out": []}
     errors = results["errors"]
     with kept_if_interrupted(args.out, vars(args), results, lambda: f"{len(errors)} of {args.starts} starts"):
