@@ -21,6 +21,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import DTypeLike
 
+from kpirl_ocp.archives import check_size
 from kpirl_ocp.errors import EpisodeError
 from kpirl_ocp.types import Array
 
@@ -134,14 +135,19 @@ def read_meta(directory: Path) -> dict[str, Any]:
         ) from None
     except (OSError, ValueError) as error:
         raise EpisodeError(f"{path} cannot be read as JSON: {error}") from error
-    if not isinstance(meta, dict) or meta.get("version") != _VERSION or not isinstance(meta.get("episodes"), int):
+    if not isinstance(meta, dict) or meta.get("version") != _VERSION or not _is_count(meta.get("episodes")):
         raise EpisodeError(f"{path} must hold 'version': {_VERSION} and the number of 'episodes'.")
     return meta
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and value >= 0  # True is an int, too
 
 
 def read_episode(path: Path, kind: type[E]) -> E:
     """One episode. Raises EpisodeError, naming file and key, if anything is amiss."""
     try:
+        check_size(path)
         with np.load(path, allow_pickle=False) as file:
             arrays = {entry.name: file[entry.metadata["key"]] for entry in _entries(kind)}
     except FileNotFoundError:

@@ -2,15 +2,17 @@
 
 import json
 import platform
+import resource
 import signal
 import subprocess
 import sys
+import zipfile
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from kpirl_ocp.episodes import Episode, atomic_write, read_episodes, write_episodes
+from kpirl_ocp.episodes import Episode, atomic_write, read_episode, read_episodes, write_episodes
 from kpirl_ocp.errors import EpisodeError, ProblemError
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.motion import minimum_jerk
@@ -146,3 +148,34 @@ def test_what_a_killed_process_left_of_a_file_is_removed_and_that_of_living_ones
         file.write(b"whole")
     assert set(tmp_path.iterdir()) == {path, living, elsewhere}
     assert path.read_bytes() == b"whole"
+
+
+@pytest.mark.parametrize("count", [True, -1, 2.0, "2", None])
+def test_a_number_of_episodes_that_is_none_is_refused(count, tmp_path, episodes):
+    write_episodes(tmp_path, episodes[:1], {})
+    meta = json.loads((tmp_path / "meta.json").read_text())
+    (tmp_path / "meta.json").write_text(json.dumps(meta | {"episodes": count}))
+    with pytest.raises(EpisodeError, match="the number of 'episodes'"):
+        read_episodes(tmp_path, Episode)
+
+
+def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_memory_is_taken(tmp_path):
+    """3 GiB of zeros in 3 MB, written in pieces."""
+    path, piece = tmp_path / "episode_000.npz", bytes(2**24)
+    bomb = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
+    with bomb, bomb.open("action.npy", "w", force_zip64=True) as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (3 * 2**27,)})
+        for _ in range(192):
+            file.write(piece)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(EpisodeError, match=r"unpacks to 3\.0 GiB; at most 2 GiB"):
+        read_episode(path, Episode)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**18  # KiB
+
+
+def test_a_header_that_announces_more_than_is_there_is_refused(tmp_path):
+    path = tmp_path / "episode_000.npz"
+    with zipfile.ZipFile(path, "w") as archive, archive.open("action.npy", "w") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)})
+    with pytest.raises(EpisodeError, match="too short"):
+        read_episode(path, Episode)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from kpirl_ocp.archives import check_size
 from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import FileError
 from kpirl_ocp.irl.learning.optimisers import Point
@@ -73,6 +74,7 @@ class Checkpoint:
         if self.path is None or not self.path.exists():
             return None
         try:
+            check_size(self.path)
             with np.load(self.path, allow_pickle=False) as file:
                 arrays = dict(file)
             header = json.loads(str(arrays["header"]))

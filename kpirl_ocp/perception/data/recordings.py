@@ -11,6 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from kpirl_ocp.archives import check_size
 from kpirl_ocp.episodes import read_episode, stored
 from kpirl_ocp.perception.data.video import read_demonstration, sample_indices
 from kpirl_ocp.perception.scene.frame import Frame
@@ -74,6 +75,7 @@ def read_arm_film(path: Path) -> MeasuredArmFilm:
     Raises EpisodeError, naming file and key, if anything is amiss.
     """
     try:
+        check_size(path)
         with np.load(path, allow_pickle=False) as file:
             measured = "observation.velocity" in file.files
     except (OSError, ValueError, BadZipFile):

@@ -15,6 +15,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kpirl_ocp.archives import check_size
 from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import DemonstrationError, FileError
 from kpirl_ocp.perception.data.video import sampled
@@ -145,6 +146,7 @@ def read_tracks(path: str | Path, *, rate: float | None = None, size: tuple[int,
 
 def _from_npz(path: Path, size: tuple[int, int] | None) -> tuple[Array, Array, Array | None, tuple[int, int] | None]:
     try:
+        check_size(path)
         with np.load(path, allow_pickle=False) as file:
             content = {name: file[name] for name in file.files}
     except (OSError, ValueError, BadZipFile) as error:

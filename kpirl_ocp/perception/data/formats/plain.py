@@ -9,6 +9,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from kpirl_ocp.archives import check_size
 from kpirl_ocp.errors import EpisodeError
 from kpirl_ocp.perception.data.formats.take import Take
 from kpirl_ocp.types import Array
@@ -55,6 +56,7 @@ def read_npz(path: str | Path, *, time: str | None = None, rate: float | None = 
         EpisodeError: the file cannot be read, an array is missing, or lengths differ.
     """
     try:
+        check_size(Path(path))
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except (OSError, ValueError, BadZipFile) as error:
