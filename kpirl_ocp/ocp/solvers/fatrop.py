@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
-from kpirl_ocp.ocp.conditions.feasibility import infeasible
 from kpirl_ocp.ocp.conditions.program import not_started, selected, starting_point, trajectory_of, transcribe
 from kpirl_ocp.ocp.problem.layout import lengths, pack, unpack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.ocp.solvers.child_process import ChildProcess
+from kpirl_ocp.ocp.solvers.infeasible import shown_infeasible
 from kpirl_ocp.types import Array, Mask, Multipliers, Solution, Status, Trajectory
 
 _STATUS = {
@@ -113,7 +113,7 @@ class Fatrop:
             int(stats.get("iter_count", 0)),
         )
         status = self._status(word, iterations, residuals.worst)
-        if status in _GAVE_UP and infeasible(problem, (pack(trajectory), begun), s0, psi, context):
+        if status in _GAVE_UP and shown_infeasible(problem, begun, s0, psi, context):
             status = Status.INFEASIBLE
         return Solution(
             trajectory=trajectory,

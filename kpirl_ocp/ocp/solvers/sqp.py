@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.interrupts import call_solver
 from kpirl_ocp.ocp.conditions.audit import audit
-from kpirl_ocp.ocp.conditions.feasibility import infeasible
 from kpirl_ocp.ocp.conditions.program import (
     limits_from,
     not_started,
@@ -25,10 +24,11 @@ from kpirl_ocp.ocp.conditions.program import (
     trajectory_of,
     transcribe,
 )
-from kpirl_ocp.ocp.problem.layout import bound_multipliers, pack, unpack_multipliers
+from kpirl_ocp.ocp.problem.layout import bound_multipliers, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
+from kpirl_ocp.ocp.solvers.infeasible import shown_infeasible
 from kpirl_ocp.types import Array, Solution, Status
 
 _GAVE_UP = (Status.STALLED, Status.ITERATION_LIMIT)
@@ -84,7 +84,7 @@ class SQP:
         residuals = audit(problem, psi, context, trajectory, multipliers)
         iterations, word = _statistics(solver)
         status = self._status(residuals.worst, iterations)
-        if status in _GAVE_UP and infeasible(problem, (pack(trajectory), begun), s0, psi, context):
+        if status in _GAVE_UP and shown_infeasible(problem, begun, s0, psi, context):
             status = Status.INFEASIBLE
         return Solution(
             trajectory=trajectory,
