@@ -24,7 +24,7 @@ def project():
     return tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
-def test_every_test_file_is_read_without_the_extras():
+def test_every_test_file_is_read_without_the_extras(tmp_path):
     code = f"""
 import sys
 class Missing:
@@ -35,7 +35,7 @@ sys.meta_path.insert(0, Missing)
 import pytest
 sys.exit(pytest.main(["--collect-only", "-qq", "-p", "no:cacheprovider", r"{ROOT / "tests"}"]))
 """
-    read = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT)
+    read = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert read.returncode == 0, read.stdout[-3000:]
 
 

@@ -17,7 +17,7 @@ def call_solver(solver: ca.Function, **arguments: Any) -> dict[str, ca.DM]:
     with _noting_ctrl_c() as came:
         try:
             result = solver(**arguments)
-        except RuntimeError:
+        except (RuntimeError, SystemError):  # what Ctrl-C becomes, by Python version
             if not came():
                 raise
     if came():
