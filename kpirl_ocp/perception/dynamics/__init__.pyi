@@ -1,4 +1,3 @@
-from .augmentation import augmented, backwards
 from .model import ACTIVATIONS, DynamicsModel
 from .training import DynamicsScores, DynamicsSettings, score_dynamics, train_dynamics
 
@@ -7,8 +6,6 @@ __all__ = [
     "DynamicsModel",
     "DynamicsScores",
     "DynamicsSettings",
-    "augmented",
-    "backwards",
     "score_dynamics",
     "train_dynamics",
 ]
