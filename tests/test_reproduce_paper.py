@@ -88,5 +88,9 @@ def test_a_second_run_takes_everything_from_the_first(reproduced):
 def test_missing_models_are_one_readable_line(tmp_path):
     result = call(tmp_path, "--preset", "tiny", "--models", str(tmp_path / "nowhere"))
     assert result.returncode == 2
-    assert re.search(r"^error: .*nowhere.*detector\.json", result.stderr, re.MULTILINE)
+    assert result.stderr == f"error: --models: there is no directory '{tmp_path / 'nowhere'}'.\n"
+    (tmp_path / "empty").mkdir()
+    result = call(tmp_path, "--preset", "tiny", "--models", str(tmp_path / "empty"))
+    assert result.returncode == 2
+    assert re.search(r"^error: .*empty.*detector\.json", result.stderr, re.MULTILINE)
     assert "Traceback" not in result.stderr

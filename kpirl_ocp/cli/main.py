@@ -121,7 +121,7 @@ def _read_and_work(parser: Parser, words: list[str], module: str) -> int:
             raise _missing(parser.prog, error) from error
     write_config(args.out / "config.yaml", parser, args)
     if stopped:
-        print(f"interrupted: {stopped}.", file=sys.stderr)
+        print(f"\ninterrupted: {stopped}.", file=sys.stderr)
     return code
 
 
