@@ -11,6 +11,7 @@ static const real TINY = (real)1e-12;     /* relative step below which rounding 
 static const real STRONGEST = (real)1e10; /* regularisation, relative to the scale of the problem, that leads nowhere */
 static const real FLAT = (real)1e-8;      /* curvature, relative to the largest, that counts as none */
 static const real USEFUL = (real)0.01;     /* fraction of a corrected step below which plain Newton steps do better */
+static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
 static const real SMALL = (real)1e-3;      /* violation that counts as little */
 static const real KEPT = (real)1e-4;       /* share of its start above which tau stays until violation and gradient fall */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
@@ -107,8 +108,10 @@ static void hold_tau(kpirl_mpc_core *core, real least) {
 /* The smallest tau for now: a share of its start, in proportion to what is left of violation and gradient of the Lagrangian. Else
  * a first step that seems to solve everything would leave tau far behind the conditions where constraints are curved. */
 static real kept_tau(kpirl_mpc_core *core, real least) {
-  const int n_w = kpirl_mpc_n_point(core);
-  const real violation = core->d.violation, gradient = kpirl_mpc_largest(core->d.gradient, n_w);
+  const int n_w = kpirl_mpc_n_point(core), m = kpirl_mpc_n_inequalities(core);
+  const real rounding = ROUNDING * (kpirl_mpc_absolute_sum(core->d.g, m) + kpirl_mpc_absolute_sum(core->at.x, n_w));
+  const real violation = kpirl_mpc_larger(core->d.violation - rounding, 0);
+  const real gradient = kpirl_mpc_largest(core->d.gradient, n_w);
   const real cost_gradient = kpirl_mpc_largest(core->d.cost_gradient, n_w);
   real left;
   core->most_violation = kpirl_mpc_larger(kpirl_mpc_larger(violation, SMALL), core->most_violation);
