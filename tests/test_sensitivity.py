@@ -12,7 +12,7 @@ from dense_kkt import derivative, unknowns
 from problems import TABLE, ScalarLQR, lqr, quadratic, response
 from reference.problems import minimum_time
 
-from kpirl_ocp import OCP, Implicit, Ipopt, Riccati, Status, sensitivity
+from kpirl_ocp import OCP, Implicit, Ipopt, Riccati, Status, Trajectory, sensitivity
 from kpirl_ocp.errors import CertificateError, ProblemError
 from kpirl_ocp.irl.hypergradients.implicit import differentiate
 from kpirl_ocp.ocp.problem.layout import pack
@@ -291,3 +291,14 @@ def test_threads_and_more_problems_than_are_kept_get_the_numbers_of_one_thread()
     with ThreadPoolExecutor(8) as pool:
         together = list(pool.map(lambda product: product(), products))
     np.testing.assert_array_equal(together, [product() for product in products])
+
+
+@pytest.mark.parametrize(("off", "certified"), [(1e-6, True), (1e-3, False)])
+def test_an_acceptable_solution_is_certified_only_near_the_point_that_is_differentiated(off, certified):
+    """Newton steps lead from both to the same point, but a solver that stops a thousandth away has promised more."""
+    case, solution = solved("integrator")
+    moved = Trajectory(solution.states, solution.actions * (1 + off))
+    stopped = replace(solution, trajectory=moved, status=Status.ACCEPTABLE)
+    found = sensitivity(case.problem, stopped, "flag").pull(np.ones_like(moved.states), np.ones_like(moved.actions))
+    assert found.certificate.certified is certified
+    assert certified or "acceptable" in str(found.certificate)

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
 from stress.certificates.contest import count
 from stress.certificates.families import FAMILIES, draw
-from stress.certificates.verdicts import Verdict, healthy
+from stress.certificates.verdicts import Verdict, healthy, judge
 from stress.kills.campaign import torment
 from stress.kills.programs import PROGRAMS
 from stress.lives import memory
@@ -34,6 +34,11 @@ def contest():
 
 def test_no_case_is_certified_and_wrong(contest):
     assert contest[1] == []
+
+
+def test_an_acceptable_solution_that_newton_steps_still_move_is_not_certified():
+    """A fold in odd units: the solver stops at 1.4 % of an action, and says that rounding leaves no more."""
+    assert judge(draw(6111)) is not Verdict.WRONG
 
 
 def test_most_healthy_cases_are_certified(contest):

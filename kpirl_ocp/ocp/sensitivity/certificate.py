@@ -28,6 +28,7 @@ MARGIN = 1e-6
 CHANGE = 1e-4
 KINK = 1e-3
 LINEAR_RESIDUAL = 1e-8
+DISTANCE = 1e-4  # of what a solver calls as exact as rounding lets it be
 _SOLVED = (Status.CONVERGED, Status.ACCEPTABLE)  # the KKT residual has a bound of its own
 
 
@@ -117,6 +118,8 @@ def certified(solution: Solution, active: Mask, evidence: Mapping[str, float]) -
     """The certificate of measurements, with a sentence for every failure."""
     found = {"kkt_residual": solution.residuals.worst, **evidence}
     failures = [] if solution.status in _SOLVED else [_not_converged(solution)]
+    if solution.status is Status.ACCEPTABLE and not found["distance"] <= DISTANCE:
+        failures.append(_NOT_ACCEPTABLE.format(found["distance"]))
     failures += [text.format(found[name], bound) for name, bound, text in _AT_MOST if not found[name] <= bound]
     failures += [text.format(found[name], bound) for name, bound, text in _AT_LEAST if not found[name] >= bound]
     return SensitivityCertificate(
@@ -124,6 +127,10 @@ def certified(solution: Solution, active: Mask, evidence: Mapping[str, float]) -
     )
 
 
+_NOT_ACCEPTABLE = (
+    "The solver calls the solution acceptable, but it is {:.1e} from the point that was differentiated: pass another "
+    "guess, or rescale the problem."
+)
 # Written so that NaN fails.
 _AT_MOST = (
     ("kkt_residual", KKT_RESIDUAL, "The KKT residual is {:.1e}, above {:.0e}: solve to a tighter tolerance."),
