@@ -15,14 +15,23 @@ from setuptools.command.build_ext import build_ext
 # No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order.
 FLAGS = ["-std=c99", "-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast"]
 CORE = "kpirl_ocp.ocp.interior_point._core"
-SOURCES = sorted(glob("kpirl_ocp/ocp/interior_point/c/*.c"))
-HEADERS = sorted(glob("kpirl_ocp/ocp/interior_point/c/*.h"))
+METHOD = "kpirl_ocp/ocp/interior_point/c"
+FOLDERS = [METHOD, f"{METHOD}/algebra", f"{METHOD}/method", "kpirl_ocp/ocp/sensitivity/c"]
+SOURCES = sorted(path for folder in FOLDERS for path in glob(f"{folder}/*.c"))
+HEADERS = sorted(path for folder in FOLDERS for path in glob(f"{folder}/*.h"))
 # One build for each level of the x86-64 psABI; the package loads the best one that the processor runs.
 LEVELS = {"": []}
 if platform.machine() in ("x86_64", "AMD64"):
     LEVELS |= {level: [f"-march=x86-64{level.replace('_', '-')}"] for level in ("_v3", "_v4")}
 LIBRARIES = [
-    Extension(f"{CORE}{level}", SOURCES, depends=HEADERS, libraries=["m"], extra_compile_args=[*FLAGS, *more])
+    Extension(
+        f"{CORE}{level}",
+        SOURCES,
+        include_dirs=FOLDERS,
+        depends=HEADERS,
+        libraries=["m"],
+        extra_compile_args=[*FLAGS, *more],
+    )
     for level, more in LEVELS.items()
 ]
 

@@ -5,7 +5,7 @@ types, errors <- ocp <- irl <- bridges, viewing;    types, errors <- perception;
 
 import ast
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path
 from typing import NamedTuple
 
@@ -261,8 +261,12 @@ def c_units():
 
 
 def c_faults():
-    """C files that are too long, or include each other in a circle."""
-    for path in [*ROOT.rglob("*.c"), *ROOT.rglob("*.h")]:
+    """C files that are too long, too many in a folder, or include each other in a circle."""
+    files = [*ROOT.rglob("*.c"), *ROOT.rglob("*.h")]
+    for folder, count in Counter(path.parent.relative_to(ROOT).as_posix() for path in files).items():
+        if count > MOST_FILES:
+            yield f"{folder} has more than {MOST_FILES} C files"
+    for path in files:
         if len(path.read_text().splitlines()) > MOST_LINES:
             yield f"{path.relative_to(ROOT).as_posix()} has more than {MOST_LINES} lines"
     yield from (f"circle of C files: {', '.join(circle)}" for circle in _circles(c_units()))

@@ -6,12 +6,14 @@ import json
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 from exported import COMPILERS, STRICT, C, built, folder, ran
 from problems import TABLE
 
+import kpirl_ocp
 from kpirl_ocp import GradientDescent, Riccati
 from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.ocp.codegen import portable_c as generated
@@ -20,6 +22,7 @@ from kpirl_ocp.ocp.solvers.sqp import SQP, program
 
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
 SANITIZED = ("-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+NEEDED_AND_NOT = "interior_point", "sensitivity"
 COUNTED = ("-std=c99", "-DCOUNT_ALLOCATIONS", "-Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc,--wrap=free")
 
 
@@ -202,3 +205,15 @@ def test_generated_code_has_no_globals_that_change():
     variables = re.findall(r"^static (?!const)[^(]*;$", source, flags=re.MULTILINE)
     assert variables == []
     assert not re.search(r"\bmalloc\b|\bprintf\b", source)
+
+
+def test_a_folder_holds_no_code_that_only_certificates_need():
+    """Everything of the package's C that stands in a folder is the method, or what the folder adds to it."""
+    out, _ = folder("lqr", CONVERGED)
+    names = {path.name for path in out.glob("*.[ch]")}
+    rooms = Path(kpirl_ocp.__file__).parent / "ocp"
+    needed, needless = (
+        {path.name for path in (rooms / room / "c").rglob("*.[ch]")} for room in ("interior_point", "sensitivity")
+    )
+    assert not names & needless
+    assert names >= needed - {"kpirl_mpc_library.c", "kpirl_mpc_library.h"}

@@ -34,16 +34,18 @@ tgamma time tmpfile tolower toupper trunc ungetc vprintf y0 y1 yn
 RESERVED = frozenset(f"{_KEYWORDS} {_LIBRARY}".split())
 
 
-def read(name: str, room: str = "export") -> str:
-    """The text of a file in `ocp/export/c`, or in the C of another room."""
-    return (files("kpirl_ocp.ocp") / room / "c" / name).read_text()
+def read(name: str) -> str:
+    """The text of a file in `ocp/export/c`."""
+    return (files("kpirl_ocp.ocp") / "export" / "c" / name).read_text()
 
 
-def core_files() -> list[str]:
-    """Names of the C files of the interior-point method that an export consists of."""
+def core_files() -> dict[str, str]:
+    """The C files of the interior-point method that an export consists of, name -> text."""
     folder = files("kpirl_ocp.ocp") / "interior_point" / "c"
     own = (f"{PREFIX}_library.", f"{PREFIX}_dimensions.")  # the one is for Python, the other made for constants here
-    return sorted(path.name for path in folder.iterdir() if not path.name.startswith(own))
+    folders = [folder, *(path for path in folder.iterdir() if path.is_dir())]
+    found = [path for each in folders for path in each.iterdir() if path.is_file() and not path.name.startswith(own)]
+    return {path.name: path.read_text() for path in sorted(found, key=lambda path: path.name)}
 
 
 def renamed(text: str, prefix: str) -> str:

@@ -84,11 +84,13 @@ def _check_finite(what: str, *arrays: Array) -> None:
 
 def _sources(problem: OCP, solver: Solver, target: Target, psi: Array) -> dict[str, str]:
     """Texts of the C files by name."""
-    own = [f"{PREFIX}{ending}" for ending in _FACE] + [f"{PREFIX}_{name}" for name in target.sources]
-    core = templates.core_files() if target.with_core else [f"{PREFIX}{ending}" for ending in _MATHEMATICS]
+    face, solving = [f"{PREFIX}{ending}" for ending in _FACE], [f"{PREFIX}_{name}" for name in target.sources]
+    core = templates.core_files()
+    kept = core if target.with_core else [f"{PREFIX}{ending}" for ending in _MATHEMATICS]
     return {
-        **{name: templates.read(name) for name in own},
-        **{name: templates.read(name, "interior_point") for name in core},
+        **{name: templates.read(name) for name in face},
+        **{name: templates.read(f"solver/{name}") for name in solving},
+        **{name: core[name] for name in kept},
         f"{PREFIX}_config.h": configuration(problem, target),
         f"{PREFIX}_data.c": data(problem, solver, target, psi),
         f"{PREFIX}_functions.h": portable_c.declarations(target.functions, target.interfaces),

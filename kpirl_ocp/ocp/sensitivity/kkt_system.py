@@ -11,7 +11,7 @@ instead, with mu = tau / slack; only equalities stay in C.
 
 No unit counts: entries of x are compared with the largest size of their kind over the horizon, forces with the others
 that they are in balance with, and decisions by the curvature that each has on its own. The arithmetic is in C:
-`ocp/interior_point/c/kpirl_mpc_kkt.h`.
+`c/kpirl_mpc_kkt.h`.
 """
 
 from __future__ import annotations
