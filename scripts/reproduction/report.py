@@ -48,6 +48,7 @@ _TABLE_1_NOTE = (
     "not give the unit of its numbers; compare the ratios."
 )
 _LOSS = "IRL loss [(image half-widths)²]"
+_SHOWN = (*UNROLLED, APPRENTICE)
 
 
 def write(page: Page, outcome: Outcome, settings: Mapping[str, Any]) -> None:
@@ -118,34 +119,49 @@ def _simulation(page: Page, outcome: Outcome) -> None:
 
 def _reaching(page: Page, outcome: Outcome) -> None:
     page.heading("Experiment 1: reaching (paper, section 5.1)")
+    contenders = (*_SHOWN, *LITERAL, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT)
+    _reaching_curves(page, outcome)
+    _reaching_distances(page, outcome, contenders)
+    _reaching_weights(page, outcome)
+    _reaching_table(page, outcome, contenders)
+    meaning.x_and_y(page, outcome)
+    meaning.red_keypoint(page, outcome)
+    page.text("Played on the simulated arm, first seed:")
+    rows = [
+        [c.label, *(cell for loop in ("open", "closed") for cell in _played(outcome, c, loop))] for c in reaching.PLAYED
+    ]
+    page.table(["cost", "open loop", "tracking [mrad]", "closed loop (MPC)", "tracking [mrad]"], rows)
+
+
+def _reaching_curves(page: Page, outcome: Outcome) -> None:
     counts = outcome.preset.demonstrations
-    shown = (*UNROLLED, APPRENTICE)
-    contenders = (*shown, *LITERAL, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT)
     panels = {
-        f"{demonstrations(count)}, train": {c.label: outcome.reaching(c, count, "losses") for c in shown}
+        f"{demonstrations(count)}, train": {c.label: outcome.reaching(c, count, "losses") for c in _SHOWN}
         for count in counts
     }
     page.figure(drawing.curves(panels, _LOSS), "IRL loss over training; bands from lowest to highest seed")
-    page.figure(
-        drawing.curves(
-            {
-                f"{demonstrations(count)}, {name}": {c.cost: outcome.reaching(c, count, "losses") for c in group}
-                for name, group in (("more steps", MORE_STEPS), ("implicit", IMPLICIT))
-                for count in counts
-            },
-            _LOSS,
-        ),
-        "The same with more inner steps, and with the converged inner problem and the implicit gradient (L-BFGS)",
-    )
+    panels = {
+        f"{demonstrations(count)}, {name}": {c.cost: outcome.reaching(c, count, "losses") for c in group}
+        for name, group in (("more steps", MORE_STEPS), ("implicit", IMPLICIT))
+        for count in counts
+    }
+    caption = "The same with more inner steps, and with the converged inner problem and the implicit gradient (L-BFGS)"
+    page.figure(drawing.curves(panels, _LOSS), caption)
+
+
+def _reaching_distances(page: Page, outcome: Outcome, contenders: Sequence[Contender]) -> None:
     both = {"all dimensions": "distance", "x of moving keypoints": "distance_x"}
     bars = {
         f"{demonstrations(count)}, test": {
             c.label: {name: per_seed(outcome.reaching(c, count, key)) for name, key in both.items()} for c in contenders
         }
-        for count in counts
+        for count in outcome.preset.demonstrations
     }
     page.figure(drawing.bars(bars, "relative distance"), "Relative distance to the goal on test demonstrations")
-    most = max(counts)
+
+
+def _reaching_weights(page: Page, outcome: Outcome) -> None:
+    most = max(outcome.preset.demonstrations)
 
     def runs(contender: Contender, key: str) -> list[Array]:
         return outcome.reaching(contender, most, key)
@@ -154,6 +170,9 @@ def _reaching(page: Page, outcome: Outcome) -> None:
         caption = f"{name}: learned weights per keypoint (colour) and axis, {demonstrations(most)}, mean over time"
         meaning.figure(page, runs, group, halves=False, caption=caption)
     meaning.known(page, runs, f"reaching, {demonstrations(most)}")
+
+
+def _reaching_table(page: Page, outcome: Outcome, contenders: Sequence[Contender]) -> None:
     rows = [
         [
             f"{c.label}, {count}",
@@ -163,27 +182,12 @@ def _reaching(page: Page, outcome: Outcome) -> None:
             spread(outcome.reaching(c, count, "seconds")),
             _stopped(outcome.reaching(c, count, "losses"), outcome.reaching(c, count, "capped")),
         ]
-        for count in counts
+        for count in outcome.preset.demonstrations
         for c in contenders
     ]
-    header = [
-        "cost, demonstrations",
-        "train loss",
-        "test loss",
-        "rel. distance",
-        "x of moving",
-        "rises",
-        "time [s]",
-        "iterations",
-    ]
+    header = ["cost, demonstrations", "train loss", "test loss", "rel. distance", "x of moving"]
+    header += ["rises", "time [s]", "iterations"]
     page.table(header, rows, "Mean ± standard deviation over seeds, at the best iterate; * at the limit.")
-    meaning.x_and_y(page, outcome)
-    meaning.red_keypoint(page, outcome)
-    page.text("Played on the simulated arm, first seed:")
-    rows = [
-        [c.label, *(cell for loop in ("open", "closed") for cell in _played(outcome, c, loop))] for c in reaching.PLAYED
-    ]
-    page.table(["cost", "open loop", "tracking [mrad]", "closed loop (MPC)", "tracking [mrad]"], rows)
 
 
 def _stopped(losses: Sequence[Array], capped: Sequence[Any]) -> str:

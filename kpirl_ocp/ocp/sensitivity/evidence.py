@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,23 +18,10 @@ from kpirl_ocp.ocp.sensitivity.rows import rows_of
 from kpirl_ocp.types import Array
 
 
-class Evidence(NamedTuple):
-    """Fields of a `SensitivityCertificate` that are measured."""
-
-    curvature: float
-    qualification: float
-    distance: float
-    step: float
-    margin: float
-    change: float
-    kink: float
-    linear_residual: float
-
-
 def measure(
     core: Core, system: KKTSystem, nearby: Memory, slope: Array, direction: Array | None = None
-) -> tuple[ByParameters, Evidence]:
-    """Gradients of a function with a slope (n_w,), and evidence for them.
+) -> tuple[ByParameters, dict[str, float]]:
+    """Gradients of a function with a slope (n_w,), and the fields of a `SensitivityCertificate` that are measured.
 
     Args:
         core: for evaluations.
@@ -49,7 +35,7 @@ def measure(
     systems, ends = (system.address, nearby.address), (ctypes.addressof(structure), ctypes.addressof(evidence))
     function = core.function(parameter_derivatives.pull)
     core.library.kpirl_mpc_certify(*systems, core.address, function, slope.ctypes.data, along, *ends)
-    return found, Evidence(*(getattr(evidence, name) for name in Evidence._fields))
+    return found, {name: float(getattr(evidence, name)) for name, *_ in evidence._fields_}
 
 
 def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:

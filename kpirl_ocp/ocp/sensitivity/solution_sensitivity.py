@@ -11,7 +11,7 @@ with its certificate.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +30,7 @@ from kpirl_ocp.ocp.sensitivity.certificate import (
     require,
     undefined,
 )
-from kpirl_ocp.ocp.sensitivity.evidence import Evidence, measure
+from kpirl_ocp.ocp.sensitivity.evidence import measure
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, Memory, check_solution
@@ -144,7 +144,7 @@ class Sensitivity:
             function = ImplicitFunction(at.system, Factorisation(at.system))
             change, residual = function.push(ByParameters(dpsi, ds0, dcontext))
             _, evidence = measure(core, at.system, at.nearby, change.x, change.x)
-            certificate = self._certificate(at, evidence._replace(linear_residual=residual))
+            certificate = self._certificate(at, evidence | {"linear_residual": residual})
         problem = self.problem
         return Tangent(*split(change.x, problem.horizon, problem.n_states, problem.n_actions), certificate)
 
@@ -167,8 +167,8 @@ class Sensitivity:
         require(self.policy, certificate)
         return certificate
 
-    def _certificate(self, at: _Workspace, evidence: Evidence) -> SensitivityCertificate:
-        certificate = certified(self.solution, at.system.active, evidence._asdict())
+    def _certificate(self, at: _Workspace, evidence: Mapping[str, float]) -> SensitivityCertificate:
+        certificate = certified(self.solution, at.system.active, evidence)
         require(self.policy, certificate)
         return certificate
 

@@ -41,20 +41,24 @@ class Whole:
         self._at = ca.Function("at", [w], [ca.densify(output) for output in outputs])
 
     def stationary(self, plan: Trajectory) -> bool:
-        """Feasible, and the gradient is balanced by some multipliers of the right signs; scipy finds them."""
+        """Feasible, and balanced by multipliers of the right signs, complementary to 1e-7, that scipy finds.
+
+        A slack itself may be larger: of a weak constraint in small units of the cost, slack times multiplier is little.
+        """
         w = np.concatenate([plan.states.ravel(), plan.actions.ravel()])
         slope, e, A, g, C = (np.array(value) for value in self._at(w))
         if np.abs(e).max(initial=0) > _TOLERANCE or g.max(initial=-1) > _TOLERANCE:
             return False
-        active = g.ravel() > -1e-5
-        normals = np.hstack([A.T, C[active].T])
-        size = max(1.0, np.abs(slope).max(initial=0))
-        least = np.concatenate([np.full(len(A), -np.inf), np.zeros(active.sum())])
-        off = slope.ravel()
+        near = g.ravel() > -1e-2
+        slack, size, off = np.maximum(-g.ravel()[near], 0), max(1.0, np.abs(slope).max(initial=0)), slope.ravel()
+        normals = np.hstack([A.T, C[near].T])
+        products = np.hstack([np.zeros((len(slack), len(A))), np.diag(slack)])
         if normals.shape[1]:
-            found = lsq_linear(normals, -off, (least, np.inf), tol=1e-14)
-            size, off = max(size, np.abs(found.x).max()), normals @ found.x + off
-        return bool(np.abs(off).max(initial=0) <= 1e-5 * size)
+            least = np.concatenate([np.full(len(A), -np.inf), np.zeros(len(slack))])
+            target = np.concatenate([-off, np.zeros(len(slack))])
+            found = lsq_linear(np.vstack([normals, products]), target, (least, np.inf), tol=1e-14).x
+            size, off, products = max(size, np.abs(found).max()), normals @ found + off, products @ found
+        return bool(np.abs(off).max(initial=0) <= 1e-5 * size and np.abs(products).max(initial=0) <= 1e-7)
 
     def least_violation(self, starts: int = 4) -> float:
         """The smallest sum of violations that Ipopt finds from several places; zero: there is a feasible point."""
