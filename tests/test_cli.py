@@ -352,22 +352,23 @@ def test_quiet_prints_nothing(words, tmp_path):
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
 
 
-def interrupted(words, tmp_path, sign):
-    """Exit code, and lines on stderr but for progress, of a command that gets Ctrl-C when `sign` is seen there."""
+def interrupted(words, tmp_path, sign, by=signal.SIGINT):
+    """Exit code, and lines on stderr but for progress, of a command that gets a signal when `sign` is seen there."""
     command = [sys.executable, "-m", "kpirl_ocp.cli", *words, "--out", str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
     seen = b""
     while sign not in seen and process.poll() is None:
         seen += os.read(process.stderr.fileno(), 4096)
-    os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to the workers as well
+    os.killpg(process.pid, by)  # a terminal sends it to the workers as well
     _, rest = process.communicate(timeout=120)
     lines = (seen + rest).decode().replace("\r", "\n").splitlines()
     return process.returncode, [line for line in lines if line and "it/s" not in line and "%|" not in line]
 
 
-def test_interrupted_learning_keeps_the_best_cost(tmp_path):
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_learning_keeps_the_best_cost(by, tmp_path):
     words = ["learn", "--steps", "1000000", "--task", "reaching"]
-    code, (line,) = interrupted(words, tmp_path, b"best=")
+    code, (line,) = interrupted(words, tmp_path, b"best=", by)
     assert code == 130
     pattern = rf"interrupted: the best cost of (\d+) iterations is in {tmp_path}/cost.json; the same command goes on."
     taken = int(re.fullmatch(pattern, line).group(1))
@@ -390,10 +391,12 @@ def test_an_interrupted_comparison_keeps_what_was_measured(tmp_path):
     assert len(results["measurements"]) == int(kept) >= 1
 
 
-def test_an_interrupted_collection_keeps_its_episodes_and_goes_on(tmp_path):
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_collection_keeps_its_episodes_and_goes_on(by, tmp_path):
     for package in ("cv2", "pybullet", "torch"):
         pytest.importorskip(package)
-    code, lines = interrupted(["collect", "keypoints", "--frames", "2", "--episodes", "40"], tmp_path, b"| 1/40")
+    words = ["collect", "keypoints", "--frames", "2", "--episodes", "40"]
+    code, lines = interrupted(words, tmp_path, b"| 1/40", by)
     assert code == 130
     assert lines == [f"interrupted: finished episodes are in {tmp_path}; the same command goes on."]
     assert 1 <= len(list(tmp_path.glob("episode_*.npz"))) < 40

@@ -362,3 +362,13 @@ print("casadi" in tried, sorted({"torch", "cv2", "pybullet"} & tried), "pybullet
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.splitlines() == ["True [] False"]
+
+
+@pytest.mark.parametrize("kind", ["prismatic", "revolute", "continuous"])
+def test_a_joint_with_an_axis_of_zero_is_named(urdf, kind):
+    limit = "" if kind == "continuous" else LIMIT.format(-1, 1)
+    text = '<robot name="one"><link name="base"/><link name="hand"/>' + joint("hand", kind, "base", "{}", "", limit)
+    with pytest.raises(RobotError, match="joint 'hand_joint' has an axis without a direction"):
+        Robot.from_urdf(urdf(text.format("0 0 0") + "</robot>"))
+    robot = Robot.from_urdf(urdf(text.format("0 0 1e-3") + "</robot>"), {"hand": [0, 0, 0]})
+    assert robot.n_joints == 1

@@ -1,6 +1,6 @@
 """`kpirl COMMAND OPTIONS`: reads and checks the options, then imports and does the work.
 
-Exit codes: 0, 1 for a result that is not what was asked for, 2 for wrong input, 130 after Ctrl-C.
+Exit codes: 0, 1 for a result that is not what was asked for, 2 for wrong input, 130 after Ctrl-C or SIGTERM.
 """
 
 from __future__ import annotations
@@ -8,8 +8,10 @@ from __future__ import annotations
 import contextlib
 import inspect
 import os
+import signal
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -112,7 +114,7 @@ def _read_and_work(parser: Parser, words: list[str], module: str) -> int:
     except SystemExit:  # after --help
         return 0
     prepare_directory(args.out)
-    with _hushed(args.quiet):
+    with _hushed(args.quiet), _terminable():
         try:
             code, stopped = import_module(module).main(args) or 0, None
         except KeyboardInterrupt as stop:
@@ -123,6 +125,19 @@ def _read_and_work(parser: Parser, words: list[str], module: str) -> int:
     if stopped:
         print(f"\ninterrupted: {stopped}.", file=sys.stderr)
     return code
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """A block in which SIGTERM, as schedulers of clusters send it, does what Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():  # which alone may say so
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _missing(program: str, error: ModuleNotFoundError) -> Exception:

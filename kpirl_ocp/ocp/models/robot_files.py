@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 import pinocchio as pin
 
 from kpirl_ocp.errors import DependencyError, RobotError
@@ -26,7 +27,8 @@ def read_urdf(path: Path) -> pin.Model:
     """The model of a URDF file; mimic joints follow the joint that they mimic and have no coordinate of their own.
 
     Raises:
-        RobotError: the file is missing, xacro or malformed; a joint is of an unknown type or cannot move; none does.
+        RobotError: the file is missing, xacro or malformed; a joint is of an unknown type, has no axis or cannot move;
+            none does.
     """
     if not path.is_file():
         raise RobotError(f"there is no URDF file {path}.")
@@ -130,7 +132,17 @@ def _check_joints(path: Path, model: pin.Model) -> None:
             )
         if kind == MIMIC and joint.extract().scaling == 0:
             raise RobotError(f"joint {name!r} mimics another one with the multiplier 0: make it a fixed joint.")
+    _check_axes(model)
     _check_limits(model, [(name, joint) for name, joint in joints if joint.shortname() in (*REVOLUTE, *PRISMATIC)])
+
+
+def _check_axes(model: pin.Model) -> None:
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))  # sets the subspaces of mimic joints
+    for name, joint, motion in list(zip(model.names, model.joints, data.joints, strict=True))[1:]:
+        scaling = joint.extract().scaling if joint.shortname() == MIMIC else 1.0
+        if not np.isclose(np.linalg.norm(motion.S), abs(scaling), rtol=1e-6):
+            raise RobotError(f"joint {name!r} has an axis without a direction: write one that is not zero.")
 
 
 def _check_limits(model: pin.Model, joints: list[tuple[str, pin.JointModel]]) -> None:
