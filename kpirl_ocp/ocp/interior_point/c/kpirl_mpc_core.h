@@ -103,6 +103,7 @@ typedef struct kpirl_mpc_core {
   real *M;              /* the condensed Hessian of a stage (n_x, n_x) */
   real *weights, *force; /* of inequalities */
   real *stiffness;      /* of equalities */
+  real *row_sizes;      /* of the gradients of inequalities, then equalities (m + n_c), for elastic mode */
   real *target;         /* of y z (m) */
   real *right, *start;  /* right-hand side (n_w), and of s_0 (n_s) */
   real *K;              /* feedback (n_u, n_s) of a stage */
@@ -247,6 +248,7 @@ void kpirl_mpc_arrive(kpirl_mpc_core *core, int level);
  * what the step does to it; the end of it. */
 int kpirl_mpc_is_elastic(const kpirl_mpc_core *core, int row);
 int kpirl_mpc_has_elastic(const kpirl_mpc_core *core); /* is there one that could be? */
+void kpirl_mpc_measure_rows(kpirl_mpc_core *core); /* before elastic mode begins */
 real kpirl_mpc_penalty(const kpirl_mpc_core *core, const real *g, const real *c);
 void kpirl_mpc_relax(kpirl_mpc_core *core);
 void kpirl_mpc_let_go(kpirl_mpc_core *core);

@@ -97,6 +97,7 @@ static void lay_out(cursor *at, kpirl_mpc_core *core) {
   core->force = take_reals(at, m);
   core->target = take_reals(at, m);
   core->stiffness = take_reals(at, kpirl_mpc_n_equalities(core));
+  core->row_sizes = take_reals(at, m + kpirl_mpc_n_equalities(core));
   core->right = take_reals(at, kpirl_mpc_n_point(core));
   core->start = take_reals(at, n_s);
   core->K = take_reals(at, 2 * n_u * n_s);

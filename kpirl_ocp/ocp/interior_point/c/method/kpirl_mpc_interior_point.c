@@ -246,7 +246,7 @@ static kpirl_mpc_status converge_restoring(kpirl_mpc_core *core) {
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
     if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
     if (restoration == KPIRL_MPC_NOT_RESTORED) return status;
-    begin_here(core, core->tau);
+    begin_here(core, kpirl_mpc_smaller(core->tau, kpirl_mpc_start_tau(core)));
     status = converge(core);
   }
   return status;

@@ -12,6 +12,18 @@ static const real FIRST = (real)1e3, LAST = (real)1e7; /* penalties, relative to
 static const real LEFT = (real)0.01;    /* share of the violation that is left where the method proper goes on */
 static const real LOWERED = (real)0.1, LAST_TAU = (real)1e-4; /* factor of tau, and the last one relative to the first */
 
+/* The largest violation of a constraint, in units of core->row_sizes. */
+static real violation(const kpirl_mpc_core *core) {
+  const kpirl_mpc_derivatives *d = &core->d;
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core), n_s = DIM(core, n_states);
+  real most = kpirl_mpc_largest(d->defects, DIM(core, horizon) * n_s);
+  int i;
+  most = kpirl_mpc_larger(kpirl_mpc_largest(d->gap, n_s), most);
+  for (i = 0; i < m; ++i) most = kpirl_mpc_larger(d->g[i] / core->row_sizes[i], most);
+  for (i = 0; i < n_c; ++i) most = kpirl_mpc_larger(kpirl_mpc_abs(d->c[i]) / core->row_sizes[m + i], most);
+  return most;
+}
+
 static void begin_barrier_problem(kpirl_mpc_core *core, real tau) {
   core->tau = tau;
   kpirl_mpc_relax(core);
@@ -23,7 +35,7 @@ static void begin_barrier_problem(kpirl_mpc_core *core, real tau) {
 static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real enough) {
   const real first = core->tau;
   for (;;) {
-    if (kpirl_mpc_largest_violation(core) <= enough) return KPIRL_MPC_RESTORED;
+    if (violation(core) <= enough) return KPIRL_MPC_RESTORED;
     if (kpirl_mpc_subproblem_solved(core)) {
       if (core->tau <= LAST_TAU * first) return KPIRL_MPC_SHOWN_INFEASIBLE;
       begin_barrier_problem(core, LOWERED * core->tau);
@@ -39,20 +51,34 @@ static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real enough) {
 
 static kpirl_mpc_restoration restore_with(kpirl_mpc_core *core, real penalty, real enough) {
   core->penalty = penalty;
-  begin_barrier_problem(core, kpirl_mpc_larger(core->start_tau, penalty * kpirl_mpc_largest_violation(core)));
+  begin_barrier_problem(core, kpirl_mpc_larger(core->start_tau, penalty * violation(core)));
   return descend(core, enough);
 }
 
-kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core) {
-  const real before = kpirl_mpc_largest_violation(core);
-  const real gradient = kpirl_mpc_largest(core->d.cost_gradient, kpirl_mpc_n_point(core));
+/* With a first and a last penalty for these sizes of rows, from where the iterate is. */
+static kpirl_mpc_restoration restore_scaled(kpirl_mpc_core *core) {
+  const real gradient = kpirl_mpc_largest(core->d.cost_gradient, kpirl_mpc_n_point(core)), enough = LEFT * violation(core);
   const real scale = gradient > 0 ? gradient : 1;
   kpirl_mpc_restoration result;
-  if (!kpirl_mpc_has_elastic(core) || !(before > core->tolerance)) return KPIRL_MPC_NOT_RESTORED;
   core->regularisation = 0;
   memset(core->at.costates, 0, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
-  result = restore_with(core, FIRST * scale, LEFT * before);
-  if (result != KPIRL_MPC_RESTORED) result = restore_with(core, LAST * scale, LEFT * before);
+  result = restore_with(core, FIRST * scale, enough);
+  return result == KPIRL_MPC_RESTORED ? result : restore_with(core, LAST * scale, enough);
+}
+
+/* What is stationary for violations in units of their gradients may not be for violations as they were stated: both have to say
+ * so before a problem is called infeasible. */
+kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core) {
+  const int rows = kpirl_mpc_n_inequalities(core) + kpirl_mpc_n_equalities(core);
+  kpirl_mpc_restoration result;
+  int i;
+  kpirl_mpc_measure_rows(core);
+  if (!kpirl_mpc_has_elastic(core) || !(violation(core) > core->tolerance)) return KPIRL_MPC_NOT_RESTORED;
+  result = restore_scaled(core);
+  if (result == KPIRL_MPC_SHOWN_INFEASIBLE) {
+    for (i = 0; i < rows; ++i) core->row_sizes[i] = 1;
+    result = restore_scaled(core);
+  }
   kpirl_mpc_harden(core);
   return result;
 }
