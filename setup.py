@@ -57,16 +57,31 @@ class PlatformWheel(bdist_wheel):
         return (interpreter, abi, platform) if self.root_is_pure else ("py3", "none", platform)
 
 
-def description() -> str:
-    """The README without pictures, their captions and links into the repository, which an index cannot follow."""
+def description(repository: str | None) -> str:
+    """The README for a package index, which cannot follow paths.
+
+    With the address of the repository, pictures and links lead to the files of this version there; without one, pictures
+    are left out with their captions, and links become text.
+    """
     text = Path("README.md").read_text(encoding="utf-8")
-    text = re.sub(r"!\[[^\]]*\]\([^)]*\)\n\n\*.*?\*\n\n", "", text, flags=re.DOTALL)
-    return re.sub(r"\[([^\]]*)\]\((?!https?:)[^)]*\)", r"\1", text)
+    picture, link = r"!\[([^\]]*)\]\((?!https?:)([^)]*)\)", r"(?<!!)\[([^\]]*)\]\((?!https?:)([^)]*)\)"
+    if repository is None:
+        text = re.sub(picture + r"\n\n\*.*?\*\n\n", "", text, flags=re.DOTALL)
+        return re.sub(link, r"\1", text)
+    (version,) = re.findall(r'= "(.*)"', Path("kpirl_ocp/version.py").read_text(encoding="utf-8"))
+    text = re.sub(picture, rf"![\1]({repository}/raw/v{version}/\2)", text)
+    return re.sub(link, rf"[\1]({repository}/blob/v{version}/\2)", text)
+
+
+def repository() -> str | None:
+    """The line `Repository = "https://.."` of the project's URLs; None where there is none."""
+    found = re.findall(r'^Repository = "(.*?)/?"$', Path("pyproject.toml").read_text(encoding="utf-8"), re.MULTILINE)
+    return found[0] if found else None
 
 
 setup(
     ext_modules=LIBRARIES,
     cmdclass={"build_ext": BuildLibraries, "bdist_wheel": PlatformWheel},
-    long_description=description(),
+    long_description=description(repository()),
     long_description_content_type="text/markdown",
 )

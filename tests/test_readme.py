@@ -1,13 +1,17 @@
 """The code in the README runs and says what it says it says."""
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-README = (Path(__file__).parents[1] / "README.md").read_text()
+import kpirl_ocp
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
@@ -25,13 +29,38 @@ def test_a_block_prints_what_its_comments_promise(block, capsys):
     assert capsys.readouterr().out.split("\n")[:-1] == promised
 
 
-def test_a_package_index_shows_the_readme_without_what_it_cannot_follow():
+def shown(tmp_path, repository):
+    """The README as a package index shows it, where the project's URLs name a repository, or None."""
     pytest.importorskip("setuptools")
+    for name in ("README.md", "LICENSE", "setup.py", "pyproject.toml", "kpirl_ocp/version.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    project = re.sub(r"^Repository = .*\n", "", (ROOT / "pyproject.toml").read_text(), flags=re.MULTILINE)
+    if repository is not None:
+        project = project.replace("[project.urls]\n", f'[project.urls]\nRepository = "{repository}"\n')
+    (tmp_path / "pyproject.toml").write_text(project)
     command = [sys.executable, "setup.py", "--quiet", "--long-description"]
-    root = Path(__file__).parents[1]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True, cwd=root).stdout
-    assert "## State your own problem" in shown
-    assert "(own video)" not in shown
-    assert all(target.startswith("http") for target in re.findall(r"\]\(([^)]*)\)", shown))
-    assert "![" not in shown
-    assert "carries a bottle" not in shown  # a caption
+    return subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path).stdout
+
+
+def test_a_package_index_shows_pictures_and_pages_of_this_version_in_the_repository(tmp_path):
+    text = shown(tmp_path, "https://example.org/somebody/kpirl_ocp/")
+    at = "https://example.org/somebody/kpirl_ocp"
+    version = kpirl_ocp.__version__
+    pictures, links = (re.findall(mark + r"\[[^\]]*\]\(([^)]*)\)", text) for mark in ("!", "(?<!!)"))
+    stated = re.findall(r"!\[[^\]]*\]\(([^)]*)\)", README)
+    assert pictures == [f"{at}/raw/v{version}/{path}" for path in stated]
+    assert len(links) > 20
+    assert all(link.startswith(f"{at}/blob/v{version}/") or "example.org" not in link for link in links)
+    for link in links:
+        assert link.startswith("https://")
+        assert "example.org" not in link or (ROOT / link.removeprefix(f"{at}/blob/v{version}/")).exists()
+
+
+def test_a_package_index_shows_the_readme_without_what_it_cannot_follow_where_no_repository_is_named(tmp_path):
+    text = shown(tmp_path, None)
+    assert "## State your own problem" in text
+    assert "(own video)" not in text
+    assert all(target.startswith("http") for target in re.findall(r"\]\(([^)]*)\)", text))
+    assert "![" not in text
+    assert "carries a bottle" not in text  # a caption
