@@ -60,8 +60,8 @@ class PlatformWheel(bdist_wheel):
 def description(repository: str | None) -> str:
     """The README for a package index, which cannot follow paths.
 
-    With the address of the repository, pictures and links lead to the files of this version there; without one, pictures
-    are left out with their captions, and links become text.
+    With the address of the repository, pictures and links lead to the files of this version there; without one,
+    pictures are left out with their captions, and links become text.
     """
     text = Path("README.md").read_text(encoding="utf-8")
     picture, link = r"!\[([^\]]*)\]\((?!https?:)([^)]*)\)", r"(?<!!)\[([^\]]*)\]\((?!https?:)([^)]*)\)"

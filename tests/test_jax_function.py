@@ -27,7 +27,7 @@ def pendulum():
 
 def objective(plan):
     def value(*given):
-        states, actions = plan(*given)
+        states, actions, _ = plan(*given)
         return jnp.sum(jnp.sin(states)) + jnp.sum(actions**2)
 
     return value
@@ -37,10 +37,11 @@ def objective(plan):
 def test_the_function_gives_the_solution_of_the_solver(compiled):
     problem, given = pendulum()
     plan = ocp_function(problem)
-    states, actions = (jax.jit(plan) if compiled else plan)(*given)
+    states, actions, value = (jax.jit(plan) if compiled else plan)(*given)
     alone = Riccati().solve(problem, given[1], given[0], given[2])
     np.testing.assert_allclose(states, alone.states, rtol=0, atol=1e-12)
     np.testing.assert_allclose(actions, alone.actions, rtol=0, atol=1e-12)
+    assert value == pytest.approx(alone.objective, rel=1e-12)
 
 
 @pytest.mark.parametrize("compiled", [False, True], ids=["eager", "jit"])

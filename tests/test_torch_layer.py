@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from problems import CASES
 
-from kpirl_ocp import OCP, Implicit, Ipopt, Riccati
+from kpirl_ocp import OCP, Implicit, Ipopt, Riccati, sensitivity
 from kpirl_ocp.errors import CertificateError, ProblemError, SolveError
 from kpirl_ocp.irl.hypergradients.loss import squared_distance
 
@@ -49,10 +49,73 @@ def test_gradcheck_believes_the_gradients_by_parameters_start_and_context(name):
 
     def plan(*given):
         found = layer(*given) if context.numel() else layer(*given, context)
-        return found.states, found.actions
+        return found.states, found.actions, found.values
 
     inputs = (psi, s0, context) if context.numel() else (psi, s0)
     assert torch.autograd.gradcheck(plan, inputs, eps=1e-6, atol=1e-5, rtol=1e-5)
+
+
+def two_steps():
+    """min psi u_0^2 + psi u_1^2 + s_2^2 with s+ = s + u, of which all is known; two instances."""
+    s, u, psi = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("psi")
+    problem = OCP.from_expressions(
+        state=s, action=u, parameters=psi, horizon=2, dynamics=s + u, stage_cost=psi * u**2, terminal_cost=s**2,
+        action_bounds=(-1, 1),
+    )  # fmt: skip
+    psi, s0 = torch.tensor([[0.5], [2.0]]).double(), torch.tensor([[1.0], [-0.7]]).double()
+    return problem, psi.requires_grad_(), s0.requires_grad_()
+
+
+def test_values_and_their_gradients_are_those_of_the_closed_form():
+    problem, psi, s0 = two_steps()
+    exact = psi * s0**2 / (psi + 2)
+    values = OCPLayer(problem)(psi, s0).values
+    np.testing.assert_allclose(values.detach(), exact.detach().ravel(), rtol=1e-9)
+    found, expected = (torch.autograd.grad(v.sum(), (psi, s0)) for v in (values, exact))
+    for one, two in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-8)
+
+
+def test_values_of_a_given_first_action_and_their_gradients_are_those_of_the_closed_form():
+    problem, psi, s0 = two_steps()
+    u0 = torch.tensor([[0.3], [3.0]], dtype=torch.float64, requires_grad=True)  # the second one beyond its bound
+    s1 = s0 + u0
+    exact = psi * u0**2 + torch.where(s1.abs() < 1 + psi, psi * s1**2 / (1 + psi), psi + (s1.abs() - 1) ** 2)
+    plan = OCPLayer(problem)(psi, s0, u0=u0)
+    np.testing.assert_allclose(plan.actions[:, 0].detach(), u0.detach(), atol=1e-12)
+    np.testing.assert_allclose(plan.values.detach(), exact.detach().ravel(), rtol=1e-9)
+    found, expected = (torch.autograd.grad(v.sum(), (psi, s0, u0)) for v in (plan.values, exact))
+    for one, two in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-8)
+
+
+def test_a_value_of_the_smoothed_problem_has_the_gradient_of_differences():
+    problem, psi, s0 = two_steps()
+    layer = OCPLayer(problem, Riccati(tolerance=1e-12), policy="smooth", barrier=1e-2)
+    assert torch.autograd.gradcheck(lambda *given: layer(*given).values, (psi, s0), eps=1e-5, atol=1e-6, rtol=1e-6)
+
+
+def test_a_masked_value_has_no_gradient_at_all():
+    """Not even the slope of the cost by psi at a fixed plan, which is there for any plan."""
+    problem, psi, s0 = weakly_active()
+    plan = OCPLayer(problem, policy="mask")(psi, s0)
+    plan.values.sum().backward()
+    assert [c.certified for c in plan.certificates[0]] == [True, False]
+    assert psi.grad[1] == 0
+    with torch.no_grad():
+        psi[1] = torch.nan
+    values = OCPLayer(problem, policy="mask")(psi, s0).values
+    assert torch.autograd.grad(values.sum(), psi)[0][1] == 0
+
+
+def test_the_jacobian_of_the_first_action_is_that_of_the_sensitivity():
+    problem, (psi, s0, context) = batch("pendulum")
+    layer = OCPLayer(problem)
+    jacobian = torch.autograd.functional.jacobian(lambda p: layer(p, s0, context).actions[:, 0], psi)
+    for index, solution in enumerate(layer(psi, s0, context).solutions):
+        one = torch.eye(problem.horizon, problem.n_actions).double().numpy()
+        expected = sensitivity(problem, solution).pull(np.zeros_like(solution.states), one).psi
+        np.testing.assert_allclose(jacobian[index, 0, index], expected, rtol=1e-8)
 
 
 def test_the_gradient_of_the_irl_loss_is_the_implicit_hypergradient():
@@ -124,6 +187,17 @@ def test_a_former_plan_is_a_guess():
     for first, second in zip(cold.solutions, warm.solutions, strict=True):
         assert second.iterations < first.iterations
     np.testing.assert_allclose(warm.actions.detach(), cold.actions.detach(), atol=1e-9)
+
+
+def test_a_plan_is_a_guess_for_one_with_a_given_first_action_and_back():
+    problem, psi, s0 = two_steps()
+    layer = OCPLayer(problem)
+    plan = layer(psi, s0)
+    given = layer(psi, s0, u0=plan.actions[:, 0].detach(), guess=plan)
+    np.testing.assert_allclose(given.values.detach(), plan.values.detach(), rtol=1e-9)
+    again = layer(psi, s0, u0=plan.actions[:, 0].detach(), guess=given)
+    assert all(s.iterations <= t.iterations for s, t in zip(again.solutions, given.solutions, strict=True))
+    np.testing.assert_allclose(layer(psi, s0, guess=given).values.detach(), plan.values.detach(), rtol=1e-9)
 
 
 def weakly_active():

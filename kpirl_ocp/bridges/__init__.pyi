@@ -1,3 +1,4 @@
+from .first_action import with_first_action
 from .jax_function import ocp_function
 from .torch_layer import OCPLayer, Plan, guesses_of
 from .torch_network import from_torch
@@ -8,4 +9,5 @@ __all__ = [
     "from_torch",
     "guesses_of",
     "ocp_function",
+    "with_first_action",
 ]

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
+from kpirl_ocp.bridges.values import value_of, value_slopes
 from kpirl_ocp.errors import ProblemError, SolveError
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
@@ -75,8 +76,14 @@ class Batch:
             raise SolveError(f"{len(failed)} of {len(solved)} solves failed; number {index}: {solution}")
         return solved
 
+    def outputs(self, solved: Sequence[Solved]) -> tuple[Array, Array, Array]:
+        """States (B, T+1, n_s), actions (B, T, n_u) and optimal costs (B,)."""
+        plans = [found.solution for found in solved]
+        values = [value_of(self.problem, plan) for plan in plans]
+        return np.array([plan.states for plan in plans]), np.array([plan.actions for plan in plans]), np.array(values)
+
     def pull(
-        self, solved: Sequence[Solved], by_states: Array, by_actions: Array
+        self, solved: Sequence[Solved], by_states: Array, by_actions: Array, by_values: Array
     ) -> tuple[Array, Array, Array, list[Certificate]]:
         """Gradients by psi (B, n_psi), s0 (B, n_s) and context (B, n_c), each with its certificate.
 
@@ -84,20 +91,25 @@ class Batch:
             solved: of `solve`.
             by_states: slopes of a function of the trajectories (B, T+1, n_s).
             by_actions: the same by actions (B, T, n_u).
+            by_values: the same by the optimal costs (B,).
 
         Raises:
             CertificateError: a gradient is not certified, unless the policy is "mask"; then it is zero.
         """
         policy: Literal["raise", "flag"] = "flag" if self.policy == "mask" else "raise"
 
-        def one(found: Solved, states: Array, actions: Array) -> Any:
-            return sensitivity(self.problem, found.solution, policy, found.derivatives).pull(states, actions)
+        def one(found: Solved, states: Array, actions: Array, value: float) -> Any:
+            plan = sensitivity(self.problem, found.solution, policy, found.derivatives).pull(states, actions)
+            total = [plan.psi, plan.s0, plan.context]
+            if value:
+                slopes = value_slopes(self.problem, found.solution)
+                total = [part + value * slope for part, slope in zip(total, slopes, strict=True)]
+            return *total, plan.certificate
 
-        gradients = self._map(one, solved, by_states, by_actions)
-        kept = np.array([g.certificate.certified for g in gradients])[:, None]
-        psi, s0, context = (np.array([getattr(g, name) for g in gradients]) for name in ("psi", "s0", "context"))
-        masked = (np.where(kept, rows, 0.0) for rows in (psi, s0, context))
-        return *masked, [g.certificate for g in gradients]  # type: ignore[return-value]
+        *gradients, certificates = zip(*self._map(one, solved, by_states, by_actions, by_values), strict=True)
+        kept = np.array([certificate.certified for certificate in certificates])[:, None]
+        psi, s0, context = (np.where(kept, np.array(rows), 0.0) for rows in gradients)
+        return psi, s0, context, list(certificates)
 
     def _map(self, function: Callable[..., R], *columns: Iterable[Any]) -> list[R]:
         return list(self._pool.map(function, *columns))

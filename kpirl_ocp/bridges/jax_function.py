@@ -1,7 +1,7 @@
 """An optimal-control problem as a differentiable function in JAX.
 
     plan = ocp_function(problem)
-    states, actions = plan(psi, s0, context)          # under jit, grad and vmap
+    states, actions, value = plan(psi, s0, context)   # under jit, grad and vmap
 
 Solves run outside JAX (`jax.pure_callback`), a batch in parallel threads; needs `jax.config.update("jax_enable_x64",
 True)` for float64, without which numbers are rounded to float32 on the way in and out.
@@ -21,7 +21,7 @@ from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array
 
-Plan = Callable[[jax.Array, jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+Plan = Callable[[jax.Array, jax.Array, jax.Array], tuple[jax.Array, ...]]
 
 
 def ocp_function(
@@ -32,7 +32,9 @@ def ocp_function(
     barrier: float = 1e-4,
     threads: int | None = None,
 ) -> Plan:
-    """(psi (n_psi,), s0 (n_s,), context (n_c,)) -> states (T+1, n_s), actions (T, n_u), with a reverse derivative.
+    """(psi (n_psi,), s0 (n_s,), context (n_c,)) -> states (T+1, n_s), actions (T, n_u), the optimal cost.
+
+    It has a reverse derivative, of first order.
 
     Args:
         problem: the OCP.
@@ -51,26 +53,25 @@ def ocp_function(
 
     def solve(psi: Array, s0: Array, context: Array) -> tuple[Array, ...]:
         lead, (psi, s0, context), example = *_rows((psi, s0, context), sizes), psi
-        plans = [found.solution for found in batch.solve(psi, s0, context, [None] * len(psi))]
-        states, actions = np.array([plan.states for plan in plans]), np.array([plan.actions for plan in plans])
-        return _like(example, states.reshape(*lead, *states.shape[1:]), actions.reshape(*lead, *actions.shape[1:]))
+        outputs = batch.outputs(batch.solve(psi, s0, context, [None] * len(psi)))
+        return _like(example, *(output.reshape((*lead, *output.shape[1:])) for output in outputs))
 
-    def pull(psi: Array, s0: Array, context: Array, by_states: Array, by_actions: Array) -> tuple[Array, ...]:
+    def pull(psi: Array, s0: Array, context: Array, *by_outputs: Array) -> tuple[Array, ...]:
         lead, (psi, s0, context), example = *_rows((psi, s0, context), sizes), psi
         solved: list[Solved] = batch.solve(psi, s0, context, [None] * len(psi))
-        slopes = (np.asarray(x, float).reshape(len(solved), *x.shape[-2:]) for x in (by_states, by_actions))
+        slopes = (np.asarray(x, float).reshape((len(solved), *np.shape(x)[len(lead) :])) for x in by_outputs)
         *gradients, _ = batch.pull(solved, *slopes)
         return _like(example, *(g.reshape(*lead, g.shape[1]) for g in gradients))
 
     @jax.custom_vjp
-    def plan(psi: jax.Array, s0: jax.Array, context: jax.Array) -> tuple[jax.Array, jax.Array]:
-        shapes = [(steps + 1, problem.n_states), (steps, problem.n_actions)]
+    def plan(psi: jax.Array, s0: jax.Array, context: jax.Array) -> tuple[jax.Array, ...]:
+        shapes = [(steps + 1, problem.n_states), (steps, problem.n_actions), ()]
         return _call(solve, shapes, psi, s0, context)
 
-    def forward(*given: jax.Array) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, ...]]:
+    def forward(*given: jax.Array) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
         return plan(*given), given
 
-    def backward(given: tuple[jax.Array, ...], slopes: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, ...]:
+    def backward(given: tuple[jax.Array, ...], slopes: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         return _call(pull, [(size,) for size in sizes], *given, *slopes)
 
     plan.defvjp(forward, backward)

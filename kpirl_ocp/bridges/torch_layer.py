@@ -2,6 +2,7 @@
 
     plan = OCPLayer(problem)(psi, s0, context)        # plan.states (B, T+1, n_s), plan.actions (B, T, n_u)
     loss(plan.states, plan.actions).backward()        # slopes by psi, s0 and context
+    plan.values.sum().backward()                      # the same of the optimal costs (B,)
 
 Backward is one adjoint solve with the KKT matrix per instance: the derivative of the optimum, whatever way the solver
 took to it. It cannot be differentiated a second time.
@@ -10,13 +11,14 @@ took to it. It cannot be differentiated a second time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
-import numpy as np
 import torch
 
 from kpirl_ocp.bridges.batch import Batch, Policy, Solved
+from kpirl_ocp.bridges.first_action import with_first_action
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, Solver
@@ -32,12 +34,15 @@ class Plan:
     """A batch of optimal trajectories.
 
     states: (B, T+1, n_s), actions: (B, T, n_u), in the type of the inputs; functions of psi, s0 and context.
+    values: (B,) optimal costs V(s0; psi, context), functions of the same; under the policy "smooth" those with the
+        barrier, J - tau sum log(slack).
     solutions: B of them, in float64, each with status and KKT residuals.
     certificates: B of them for each backward pass through this plan, the latest last; empty before the first.
     """
 
     states: Tensor
     actions: Tensor
+    values: Tensor
     solutions: tuple[Solution, ...]
     certificates: list[list[Certificate]] = field(repr=False)
 
@@ -76,7 +81,13 @@ class OCPLayer(torch.nn.Module):
         self.batch = Batch(problem, solver or Riccati(), policy, barrier, threads)
 
     def forward(
-        self, psi: Tensor, s0: Tensor, context: Tensor | None = None, guess: Plan | Sequence[Guess] | None = None
+        self,
+        psi: Tensor,
+        s0: Tensor,
+        context: Tensor | None = None,
+        guess: Plan | Sequence[Guess] | None = None,
+        *,
+        u0: Tensor | None = None,
     ) -> Plan:
         """The optimal trajectories.
 
@@ -85,23 +96,36 @@ class OCPLayer(torch.nn.Module):
             s0: (B, n_s), or (n_s,) for all.
             context: (B, n_c), or (n_c,) for all; None for a problem without one.
             guess: where to start: a former plan, or B solutions, trajectories or None.
+            u0: (B, n_u), or (n_u,) for all: the first action, given and not bounded, so that `Plan.values` are
+                state-action values Q(s0, u0), functions of u0, too. None: the best first action.
 
         Raises:
             ProblemError: shapes that do not fit.
             SolveError: a solve failed; not under the policy "mask".
         """
-        problem = self.batch.problem
-        given = (psi, s0, psi.new_zeros(0) if context is None else context)
-        sizes = {"psi": problem.n_parameters, "s0": problem.n_states, "context": problem.n_context}
+        batch = self.batch if u0 is None else self._given_action
+        context = psi.new_zeros(0) if context is None else context
+        given, sizes = [psi, s0, context], self._sizes
+        if u0 is not None:
+            given.append(u0)
         count = max((len(tensor) for tensor in given if tensor.ndim == 2), default=1)
-        rows = [_rows(name, tensor, count, size) for tensor, (name, size) in zip(given, sizes.items(), strict=True)]
-        guesses = guess.solutions if isinstance(guess, Plan) else guess
-        if guesses is not None and len(guesses) != count:
-            raise ProblemError(f"a batch of {count} needs as many guesses, got {len(guesses)}.")
+        rows = [_rows(name, x, count, size) for x, (name, size) in zip(given, sizes.items(), strict=False)]
+        guesses = _guesses(batch.problem, guess, count)
         solved: list[Solved] = []
         certificates: list[list[Certificate]] = []
-        states, actions = _Solve.apply(self.batch, guesses or [None] * count, solved, certificates, *rows)
-        return Plan(states, actions, tuple(found.solution for found in solved), certificates)
+        inputs = (*rows[:2], torch.cat(rows[2:], dim=1))
+        states, actions, values = _Solve.apply(batch, guesses, solved, certificates, *inputs)
+        return Plan(states, actions, values, tuple(found.solution for found in solved), certificates)
+
+    @property
+    def _sizes(self) -> dict[str, int]:
+        problem = self.batch.problem
+        sizes = {"psi": problem.n_parameters, "s0": problem.n_states}
+        return sizes | {"context": problem.n_context, "u0": problem.n_stated_actions}
+
+    @cached_property
+    def _given_action(self) -> Batch:
+        return replace(self.batch, problem=with_first_action(self.batch.problem))
 
     def extra_repr(self) -> str:
         """The settings."""
@@ -109,7 +133,7 @@ class OCPLayer(torch.nn.Module):
 
 
 class _Solve(torch.autograd.Function):
-    """(psi, s0, context) -> (states, actions)."""
+    """(psi, s0, context) -> (states, actions, values)."""
 
     @staticmethod
     def forward(
@@ -119,21 +143,20 @@ class _Solve(torch.autograd.Function):
         solved: list[Solved],
         certificates: list[list[Certificate]],
         *rows: Tensor,
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Tensor, ...]:
         psi, s0, context = (row.detach().cpu().double().numpy() for row in rows)
         solved += batch.solve(psi, s0, context, guesses)
         ctx.batch, ctx.solved, ctx.certificates = batch, solved, certificates
         ctx.types = [(row.dtype, row.device) for row in rows]
-        plans = [found.solution for found in solved]
         dtype, device = torch.promote_types(rows[0].dtype, rows[1].dtype), rows[0].device
-        states, actions = np.array([plan.states for plan in plans]), np.array([plan.actions for plan in plans])
-        return torch.tensor(states, dtype=dtype, device=device), torch.tensor(actions, dtype=dtype, device=device)
+        return tuple(torch.tensor(output, dtype=dtype, device=device) for output in batch.outputs(solved))
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, by_states: Tensor, by_actions: Tensor) -> tuple[Tensor | None, ...]:
-        slopes = (slope.detach().cpu().double().numpy() for slope in (by_states, by_actions))
-        *gradients, certificates = ctx.batch.pull(ctx.solved, *slopes)
+    def backward(ctx: Any, *by_outputs: Tensor) -> tuple[Tensor | None, ...]:
+        *gradients, certificates = ctx.batch.pull(
+            ctx.solved, *(by.detach().cpu().double().numpy() for by in by_outputs)
+        )
         ctx.certificates.append(certificates)
         pairs = zip(gradients, ctx.types, strict=True)
         return None, None, None, None, *(torch.tensor(g, dtype=t, device=device) for g, (t, device) in pairs)
@@ -143,6 +166,19 @@ def guesses_of(actions: Tensor, states: Tensor) -> list[Trajectory]:
     """Guesses from actions (B, T, n_u) and states (B, T+1, n_s)."""
     pairs = zip(states.detach().cpu().double(), actions.detach().cpu().double(), strict=True)
     return [Trajectory(s.numpy(), u.numpy()) for s, u in pairs]
+
+
+def _guesses(problem: OCP, guess: Plan | Sequence[Guess] | None, count: int) -> Sequence[Guess]:
+    """One for every instance; plans with and without a given first action are guesses for each other by trajectory."""
+    if guess is None:
+        return [None] * count
+    given = len(guess.solutions if isinstance(guess, Plan) else guess)
+    if given != count:
+        raise ProblemError(f"a batch of {count} needs as many guesses, got {given}.")
+    if not isinstance(guess, Plan):
+        return guess
+    same = [s.multipliers.path_equality.shape[1] == problem.n_path_equality for s in guess.solutions]
+    return [s if kept else s.trajectory for s, kept in zip(guess.solutions, same, strict=True)]
 
 
 def _rows(name: str, tensor: Tensor, count: int, size: int) -> Tensor:
