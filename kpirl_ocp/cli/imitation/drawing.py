@@ -33,7 +33,7 @@ def draw_paths(path: Path, runs: list[Executed]) -> Path:
         axis.plot([], [], "k.-", label="executed")
         axis.set_title(f"start {number + 1}: {run.reached:.1%} off the path", fontsize=10)
         axis.set(xlabel="x [pixels]", ylabel="y [pixels]")
-        axis.legend(fontsize=7)
+    figures.shared_legend(axes)
     return figures.save(figure, path)
 
 
