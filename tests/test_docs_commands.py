@@ -21,10 +21,8 @@ PROGRAM = r"(?:kpirl|make|python scripts/\w+\.py|pip install) "
 
 def blocks(page):
     """The commands of a page's blocks, one list of words for each, without comments."""
-    lines = [
-        line for block in re.findall(r"```console\n(.*?)```", page.read_text(), re.DOTALL) for line in block.split("\n")
-    ]
-    return [shlex.split(part, comments=True) for line in lines if line for part in line.split(" && ")]
+    text = "".join(re.findall(r"```console\n(.*?)```", page.read_text(), re.DOTALL))
+    return [shlex.split(part, comments=True) for line in text.splitlines() for part in line.split(" && ")]
 
 
 def commands(page):
@@ -62,7 +60,7 @@ def test_a_command_on_a_page_can_be_given(command, capsys, monkeypatch):
         extras = re.findall(r"\.\[([\w,]+)\]", command)
         stated = re.findall(r"^([\w-]+) = \[", (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
         assert {name for extra in extras for name in extra.split(",")} <= set(stated)
-    elif words[0] == "kpirl" or words[1:2] and words[1].startswith("scripts/"):
+    elif words[0] == "kpirl" or (words[0] == "python" and words[1].startswith("scripts/")):
         shown, options = help_of(words, capsys, monkeypatch)
         for word in options:
             if word.startswith("--"):
@@ -107,8 +105,8 @@ def workplace(tmp_path_factory):
     write_video(here / "person.mp4", seen, 10, codec="h264")
     for name, model in (("detector", "detector"), ("mine", "detector"), ("placing", "placing"), ("arm", "placing")):
         card = shipped_model(model)
-        shutil.copy(card, here / f"{name}.json")
-        shutil.copy(card.with_suffix(".safetensors"), here / card.with_suffix(".safetensors").name)
+        for suffix in (".json", ".safetensors"):
+            shutil.copy(card.with_suffix(suffix), here / f"{name}{suffix}")
     one = Placing(steps=1).record(np.random.default_rng(3))
     arrays = {"observation.images.camera": one.images, "observation.state": one.joints}
     np.savez(here / "arm_at_its_start.npz", **arrays, action=one.actions, timestamp=one.times)

@@ -15,7 +15,7 @@ from kpirl_ocp.errors import DemonstrationError, FileError
 from kpirl_ocp.perception.data.video import iterate_frames
 from kpirl_ocp.perception.tracking import objects
 from kpirl_ocp.perception.tracking.admission import moving_part, refusal
-from kpirl_ocp.perception.tracking.pictures import overlays, track_film, track_sheet
+from kpirl_ocp.perception.tracking.pictures import at_times, overlays, track_film, track_sheet
 from kpirl_ocp.perception.tracking.similarity import fit, transform
 from kpirl_ocp.perception.tracking.tracker import track
 from kpirl_ocp.perception.tracking.tracks import Tracks, of_object, read_tracks, spread, write_tracks
@@ -262,6 +262,19 @@ def test_the_film_and_the_sheet_show_the_tracks(tmp_path):
     assert track_sheet(tmp_path / "sheet.png", frames, tracks, [0, 5]).stat().st_size > 1000
     found = list(iterate_frames(track_film(tmp_path / "film.mp4", frames, tracks)))
     assert len(found) == 6
+
+
+def test_tracks_of_another_rate_are_drawn_into_the_nearest_frames():
+    images = [np.full((2, 2, 3), index, np.uint8) for index in range(4)]
+    frames = [(0.1 * index, image) for index, image in enumerate(images)]
+    shown = [int(image[0, 0, 0]) for image in at_times(frames, np.array([0.0, 0.04, 0.06, 0.19, 0.3, 0.4]))]
+    assert shown == [0, 0, 1, 2, 3, 3]
+
+
+def test_tracks_that_go_on_after_the_film_are_refused():
+    frames = [(0.1 * index, np.zeros((2, 2, 3), np.uint8)) for index in range(4)]
+    with pytest.raises(DemonstrationError, match=r"until 1\.00 s, but the film ends at 0\.30 s.*--source-rate"):
+        list(at_times(frames, np.linspace(0, 1, 11)))
 
 
 # Real clips; none of them is part of the project

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from kpirl_ocp.errors import DemonstrationError
 from kpirl_ocp.figures import COLOURS, save
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.video import Frames
@@ -39,9 +40,28 @@ def zoomed(image: Frames, factor: float) -> Frames:
     return np.asarray(cv2.resize(image, (round(factor * width), round(factor * height))), np.uint8)
 
 
+def at_times(frames: Iterable[tuple[float, Frames]], times: Array) -> Iterator[Frames]:
+    """The frame that is nearest to each of the rising times [s], whatever the rates of the film and of the times.
+
+    Raises DemonstrationError for times that go on for more than two steps behind the film's end.
+    """
+    stream, step = iter(frames), float(np.diff(times).max(initial=0.0))
+    now, following = next(stream), next(stream, None)
+    for time in times:
+        while following is not None and abs(following[0] - time) <= abs(now[0] - time):
+            step = max(step, following[0] - now[0])
+            now, following = following, next(stream, None)
+        if time > now[0] + 2 * step:
+            raise DemonstrationError(
+                f"the tracks go on until {times[-1]:.2f} s, but the film ends at {now[0]:.2f} s: "
+                "say the rate of the tracks (--source-rate)."
+            )
+        yield now[1]
+
+
 def overlays(frames: Iterable[tuple[float, Frames]], tracks: Tracks) -> Iterator[Frames]:
     """The frames of the tracks, one by one, with the paths drawn into them."""
-    for index, (_, image) in zip(range(len(tracks.times)), frames, strict=False):
+    for index, image in enumerate(at_times(frames, tracks.times)):
         past = slice(max(0, index - _TRAIL), index + 1)
         yield overlay(image, tracks.positions[past], tracks.confidence[index])
 
@@ -54,13 +74,13 @@ def track_film(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Track
 
 def track_sheet(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Tracks, chosen: Sequence[int]) -> Path:
     """Write a picture of the chosen frames, each with the keypoints' way so far, its time and the mean confidence."""
-    images = {index: image for index, (_, image) in enumerate(frames) if index in set(chosen)}
     rows = -(-len(chosen) // _COLUMNS)
     width, height = tracks.size
     figure = Figure(figsize=(3.0 * _COLUMNS, (3.0 * height / width + 0.3) * rows), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, _COLUMNS, squeeze=False)).ravel()
-    for axis, index in zip(axes, chosen, strict=False):
-        axis.imshow(images[index], extent=(0, width, height, 0))
+    images = at_times(frames, tracks.times[list(chosen)])
+    for axis, index, image in zip(axes, chosen, images, strict=False):
+        axis.imshow(image, extent=(0, width, height, 0))
         for number in range(tracks.positions.shape[1]):
             colour, way = COLOURS[number % len(COLOURS)], tracks.positions[: index + 1, number]
             seen = tracks.confidence[index, number] > 0
