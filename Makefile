@@ -52,6 +52,8 @@ models: .venv/installed-perception
 		$(COLLECT) $$motion --seed $(SEED)0 --out $(MODELS)/data/$$motion || exit; done
 	for motion in keypoints sines placing hand-placing; do \
 		$(COLLECT) $$motion --seed $(SEED)2 --episodes 24 --out $(MODELS)/test/$$motion || exit; done
+	$(COLLECT) sines --rate 1 --steps 10 --seed $(SEED)0 --out $(MODELS)/data/slow-sines
+	$(COLLECT) sines --rate 1 --steps 10 --seed $(SEED)2 --episodes 24 --out $(MODELS)/test/slow-sines
 	for level in 1 2; do \
 		$(COLLECT) hand-placing --surroundings $$level --seed $(SEED)2 --episodes 24 \
 			--out $(MODELS)/test/hand-placing-$$level || exit; done
@@ -64,7 +66,8 @@ models: .venv/installed-perception
 		$(DYNAMICS) --activation $$activation --out $(MODELS)/reaching-$$activation \
 			--data $(MODELS)/data/sines --test $(MODELS)/test/sines || exit; \
 		$(DYNAMICS) --activation $$activation --out $(MODELS)/placing-$$activation \
-			--data $(MODELS)/data/placing --test $(MODELS)/test/placing || exit; done
+			--augment --data $(addprefix $(MODELS)/data/,placing slow-sines) \
+			--test $(addprefix $(MODELS)/test/,placing slow-sines) || exit; done
 	# The layout that reproduce_paper.py --models reads; tanh, so that converged plans can be differentiated.
 	for suffix in json safetensors; do \
 		cp $(MODELS)/detector/detector.$$suffix $(MODELS)/detector.$$suffix || exit; \

@@ -12,6 +12,7 @@ from safetensors.numpy import load_file, save_file
 
 from kpirl_ocp.episodes import ArmTrack
 from kpirl_ocp.errors import ModelError, TrainingError
+from kpirl_ocp.perception.dynamics.augmentation import augmented, backwards
 from kpirl_ocp.perception.dynamics.model import ACTIVATIONS, DynamicsModel
 from kpirl_ocp.perception.dynamics.training import DynamicsSettings, Stretches, score_dynamics, train_dynamics
 
@@ -328,3 +329,31 @@ def test_a_card_that_does_not_fit_its_weights_is_named(saved, change):
     saved.write_text(json.dumps(json.loads(saved.read_text()) | change))
     with pytest.raises(ModelError, match="dynamics"):
         DynamicsModel.load(saved)
+
+
+def test_a_motion_played_backwards_obeys_the_same_dynamics():
+    for there, back in zip(TRAIN[:5], map(backwards, TRAIN[:5]), strict=True):
+        z = back.keypoints[..., :2].reshape(len(back.times), -1)
+        np.testing.assert_allclose(np.diff(z, axis=0), back.actions @ GAIN.T, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(back.joints[:-1] + back.actions, back.joints[1:], rtol=0, atol=1e-12)
+        again = backwards(back)
+        np.testing.assert_array_equal(again.keypoints, there.keypoints)
+        np.testing.assert_allclose(again.actions, there.actions, rtol=0, atol=1e-12)
+
+
+def test_augmented_data_are_forwards_and_backwards_without_and_with_noise():
+    found = augmented(TRAIN[:20], np.random.default_rng(0))
+    assert len(found) == 80
+    for clean, noisy in zip(found[:40], found[40:], strict=True):
+        np.testing.assert_array_equal(noisy.joints, clean.joints)
+        np.testing.assert_array_equal(noisy.keypoints[..., 2], clean.keypoints[..., 2])
+    pairs = zip(found[:40], found[40:], strict=True)
+    noise = np.concatenate([(noisy.keypoints - clean.keypoints)[..., :2].ravel() for clean, noisy in pairs])
+    assert noise.std() == pytest.approx(0.5 / 120, rel=0.05)
+    assert np.concatenate([track.velocities.ravel() for track in found]).std() == pytest.approx(2e-3, rel=0.05)
+
+
+def test_a_moving_arm_cannot_be_turned_round():
+    moving = replace(TRAIN[0], velocities=np.full_like(TRAIN[0].velocities, 0.2))
+    with pytest.raises(TrainingError, match=r"0\.2 rad/s.*without --augment"):
+        backwards(moving)

@@ -54,7 +54,7 @@ def experiments(models: Models, material: Data, preset: Preset, seeds: Sequence[
             for index, clip in enumerate(material.placing_validation)
         ],
     }
-    iterations = {"reaching": preset.reaching_iterations, "placing": preset.placing_iterations}
+    iterations = {"reaching": preset.reaching_iterations, "placing": preset.choice_iterations}
     candidates = [
         job
         for task, demos in validation.items()
@@ -104,10 +104,13 @@ def with_background(
     dynamics = models.load_dynamics("reaching")
     train = [robot_demonstration(dynamics, track) for track in material.reaching[: max(preset.demonstrations)]]
     demonstrations = {"reaching": train, "placing": [found[seed].demonstration]}
-    adam = {"reaching": preset.reaching_iterations, "placing": preset.placing_iterations}
+    outer = {
+        "reaching": (preset.reaching_iterations, preset.reaching_descent_iterations),
+        "placing": (preset.placing_iterations, preset.descent_iterations),
+    }
     jobs = []
     for task in background.TASKS:
-        counts = {c: reaching.iterations_of(c, adam[task], preset) for c in background.CONTENDERS}
+        counts = {c: reaching.iterations_of(c, *outer[task], preset) for c in background.CONTENDERS}
         jobs += background.jobs(task, models, demonstrations[task], chosen[task], counts, seed)
     return jobs
 

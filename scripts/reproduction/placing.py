@@ -77,7 +77,7 @@ def jobs(models: Models, found: dict[int, Setup], chosen: InnerLoop, preset: Pre
     made = []
     for seed, setup in found.items():
         for contender in CONTENDERS:
-            iterations = iterations_of(contender, preset.placing_iterations, preset)
+            iterations = iterations_of(contender, preset.placing_iterations, preset.descent_iterations, preset)
             lesson = Lesson(contender, contender.inner_loop(chosen), iterations, seed)
             arguments = {"models": models, "demonstration": setup.demonstration, "lesson": lesson}
             made.append(Job(name_of(contender, seed), run, arguments))

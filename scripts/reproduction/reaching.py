@@ -43,10 +43,10 @@ PLAYED = (*UNROLLED, *LITERAL, APPRENTICE, DEFAULT, *MORE_STEPS, DEFAULT_MORE_ST
 CONTENDERS = (*PLAYED, *SMALL_START, *IMPLICIT, *EFFORT)
 
 
-def iterations_of(contender: Contender, adam: int, preset: Preset) -> int:
-    """Outer iterations; `adam` for those that use Adam."""
+def iterations_of(contender: Contender, adam: int, descent: int, preset: Preset) -> int:
+    """Outer iterations; `adam` for those that use Adam, `descent` for those of plain descent."""
     if contender in (*LITERAL, *SMALL_START):
-        return preset.descent_iterations
+        return descent
     if contender.method.startswith("implicit"):
         return preset.implicit_iterations
     return preset.baseline_iterations if contender.method == "apprenticeship" else adam
@@ -66,7 +66,9 @@ def jobs(
             first = seed % len(pool)
             train = (pool[first:] + pool[:first])[:count]  # which one is learned from depends on the seed
             for contender in CONTENDERS:
-                iterations = iterations_of(contender, preset.reaching_iterations, preset)
+                iterations = iterations_of(
+                    contender, preset.reaching_iterations, preset.reaching_descent_iterations, preset
+                )
                 arguments = {
                     "models": models,
                     "train": train,

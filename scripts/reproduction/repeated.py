@@ -11,12 +11,12 @@ from kpirl_ocp.perception.plant.camera_plant import Disturbance
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array
 from reproduction.data import Models
-from reproduction.learning import DEFAULT, DEFAULT_MORE_STEPS, MORE_STEPS, UNROLLED, Contender
+from reproduction.learning import DEFAULT, DEFAULT_MORE_STEPS, LITERAL, MORE_STEPS, UNROLLED, Contender
 from reproduction.placing import Condition, Setup, name_of, play, scores
 from reproduction.settings import STARTS
 from reproduction.sweep import Job, Result
 
-CONTENDERS = (*UNROLLED, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS)
+CONTENDERS = (*UNROLLED, *LITERAL, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS)
 _OFF = 0.01 * np.array([0, 1, 0, 1, 0, 1, 0])  # of the joints that move in the plane [rad]
 _CAMERA = Condition(Disturbance(noise=5.0))
 

@@ -24,7 +24,8 @@ CONDITIONS: Mapping[str, Condition] = {
     "keypoint hidden, mu used": Condition(_HIDING, confidence=_CONFIDENCE),
 }
 TIME_DEPENDENT = Contender("TimeDep", "unrolled, more steps")
-CLOSED = (*MORE_STEPS, Contender("TimeDep", "implicit"), DEFAULT_MORE_STEPS)
+LETTER = Contender("TimeDep", "unrolled, to the letter")
+CLOSED = (*MORE_STEPS, LETTER, Contender("TimeDep", "implicit"), DEFAULT_MORE_STEPS)
 RUNS = (*((contender, True) for contender in CLOSED), (TIME_DEPENDENT, False))  # the last for comparison
 _NEAR, _FAR = 0.01, 0.12  # how far joints 2, 4 and 6 are from start 1, at most [rad]
 _IN_PLANE = np.array([0, 1, 0, 1, 0, 1, 0])

@@ -36,7 +36,9 @@ class Preset:
     )
     reaching_iterations: int = 300  # 1000 did no better on validation demonstrations
     placing_iterations: int = 5000  # the paper's
-    descent_iterations: int = 5000  # of plain descent, in both experiments
+    choice_iterations: int = 1000  # of Adam, placing: enough to compare inner loops
+    descent_iterations: int = 5000  # of plain descent in placing
+    reaching_descent_iterations: int = 1000
     implicit_iterations: int = 300  # a cap; L-BFGS ends before where it can
     baseline_iterations: int = 100
     study_iterations: int = 100
@@ -53,7 +55,9 @@ PRESETS: Mapping[str, Preset] = {
         inner_loops=(InnerLoop(1, 3e-4), InnerLoop(5, 3e-4)),
         reaching_iterations=5,
         placing_iterations=10,
+        choice_iterations=5,
         descent_iterations=5,
+        reaching_descent_iterations=5,
         implicit_iterations=1,
         baseline_iterations=3,
         study_iterations=3,

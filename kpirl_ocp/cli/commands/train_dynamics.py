@@ -13,6 +13,7 @@ from kpirl_ocp import figures
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.tracks import detect_tracks
+from kpirl_ocp.perception.dynamics.augmentation import augmented
 from kpirl_ocp.perception.dynamics.training import DynamicsScores, DynamicsSettings, score_dynamics, train_dynamics
 from kpirl_ocp.reporting import table, write_metrics
 from kpirl_ocp.types import Array
@@ -55,11 +56,12 @@ def main(args: Namespace) -> None:
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     settings = replace(DynamicsSettings(), **given)
     tracks = [track for directory in args.data for track in detect_tracks(detector, directory)]
+    data = augmented(tracks, np.random.default_rng(args.seed)) if args.augment else tracks
     tests = {Path(directory).name: detect_tracks(detector, directory) for directory in args.test}
     shortest = min(len(track.actions) for held_out in tests.values() for track in held_out)
     if not 1 <= args.ahead <= shortest:
         raise ProblemError(f"--ahead must be from 1 to the {shortest} steps of the shortest test, got {args.ahead}.")
-    model, curves = train_dynamics(tracks, settings, args.seed)
+    model, curves = train_dynamics(data, settings, args.seed)
     scores = {name: score_dynamics(model, held_out, args.ahead) for name, held_out in tests.items()}
 
     rows = [row for name, found in scores.items() for row in score_rows(name, found)]
@@ -67,7 +69,7 @@ def main(args: Namespace) -> None:
     write_metrics(out, vars(args) | asdict(settings), {"scores": {name: asdict(s) for name, s in scores.items()}})
     card = {
         "rate": float(1 / (tracks[0].times[1] - tracks[0].times[0])),
-        "training": asdict(settings) | {"seed": args.seed, "trajectories": len(tracks)},
+        "training": asdict(settings) | {"seed": args.seed, "trajectories": len(data), "augmented": args.augment},
         "metrics": {
             name: {"nmse": float(s.model[0].mean()), "persistence": float(s.persistence[0].mean())}
             for name, s in scores.items()

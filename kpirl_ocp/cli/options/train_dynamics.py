@@ -19,6 +19,9 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--test", type=existing_directory, nargs="+", required=True, help="directories of held-out recordings"
     )
+    parser.add_argument(
+        "--augment", action="store_true", help="motions backwards, too, and noise; for arms that rest at every look"
+    )
     parser.add_argument("--activation", type=one_of(ACTIVATIONS), help=f"{', '.join(ACTIVATIONS)} (the first)")
     parser.add_argument("--steps", type=whole(1), help="predicted in the loss (default: 1)")
     parser.add_argument("--epochs", type=whole(1), help="(default: 300)")

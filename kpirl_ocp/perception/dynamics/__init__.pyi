@@ -1,3 +1,4 @@
+from .augmentation import augmented, backwards
 from .model import ACTIVATIONS, DynamicsModel
 from .training import DynamicsScores, DynamicsSettings, score_dynamics, train_dynamics
 
@@ -6,6 +7,8 @@ __all__ = [
     "DynamicsModel",
     "DynamicsScores",
     "DynamicsSettings",
+    "augmented",
+    "backwards",
     "score_dynamics",
     "train_dynamics",
 ]

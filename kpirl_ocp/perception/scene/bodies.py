@@ -80,7 +80,7 @@ def write_arm_with_bottle(directory: Path, urdf: Path | None = None, link: str =
     if link not in [entry.get("name") for entry in robot.iter("link")]:
         raise SceneError(f"the arm of {source} has no link {link!r} to hold the bottle.")
     for entry in robot.iter("link"):
-        for collision in entry.findall("collision"):  # nothing collides
+        for collision in entry.findall("collision"):  # only the gripper and the bottle collide
             entry.remove(collision)
     for mesh in robot.iter("mesh"):
         mesh.set("filename", str(_mesh(source, mesh.attrib["filename"])))
@@ -132,15 +132,21 @@ def _add_link(robot: ET.Element, name: str, shapes: tuple[Shape, ...], mass: flo
     moment = str(mass * 0.05**2)  # of a body some 0.1 m across
     ET.SubElement(inertial, "inertia", ixx=moment, iyy=moment, izz=moment, ixy="0", ixz="0", iyz="0")
     for index, shape in enumerate(shapes):
-        visual = ET.SubElement(link, "visual")
-        ET.SubElement(visual, "origin", xyz=_text(shape.xyz), rpy=_text(shape.rpy))
-        geometry = ET.SubElement(visual, "geometry")
-        if len(shape.size) == 3:
-            ET.SubElement(geometry, "box", size=_text(shape.size))
-        else:
-            ET.SubElement(geometry, "cylinder", radius=str(shape.size[0]), length=str(shape.size[1]))
+        visual = _add_shape(link, "visual", shape)
         material = ET.SubElement(visual, "material", name=f"{name}_{index}")
         ET.SubElement(material, "color", rgba=_text((*shape.colour, 1.0)))
+        _add_shape(link, "collision", shape)
+
+
+def _add_shape(link: ET.Element, kind: str, shape: Shape) -> ET.Element:
+    element = ET.SubElement(link, kind)
+    ET.SubElement(element, "origin", xyz=_text(shape.xyz), rpy=_text(shape.rpy))
+    geometry = ET.SubElement(element, "geometry")
+    if len(shape.size) == 3:
+        ET.SubElement(geometry, "box", size=_text(shape.size))
+    else:
+        ET.SubElement(geometry, "cylinder", radius=str(shape.size[0]), length=str(shape.size[1]))
+    return element
 
 
 def _text(numbers: tuple[float, ...]) -> str:

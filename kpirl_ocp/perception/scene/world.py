@@ -31,7 +31,7 @@ W = TypeVar("W", bound="World")
 class World:
     """A PyBullet world without a window, with table, shelf and one camera; use it in a `with` block.
 
-    Several may be open at once. The furniture is visible, but nothing collides with it.
+    Several may be open at once. The bottle and its gripper cannot go through the furniture.
 
     shelf: whether it is there.
     """
@@ -44,7 +44,8 @@ class World:
         self._client = connect()
         for half, centre, colour in _FURNITURE if self.shelf else _FURNITURE[:1]:
             visual = self._client.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, rgbaColor=(*colour, 1.0))
-            self._client.createMultiBody(baseMass=0, baseVisualShapeIndex=visual, basePosition=centre)
+            solid = self._client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
+            self._client.createMultiBody(0, solid, visual, basePosition=centre)
         return self
 
     def __exit__(
