@@ -44,15 +44,16 @@ def test_half_images_are_those_of_the_square_in_the_middle_and_displacements_are
 
 
 def test_an_arm_repeats_a_film_with_dynamics_that_were_learned(placing, tmp_path, capsys):
-    words = [*MODELS, "--steps", "10", "--starts", "1", "--iterations", "60", "--export", "--out", str(tmp_path)]
+    words = [*MODELS, "--steps", "10", "--export", "--out", str(tmp_path)]
     assert run(["learn-video", str(placing), *words]) == 0, capsys.readouterr()
     results = json.loads((tmp_path / "metrics.json").read_text())["results"]
-    assert results["planned"][0] < 0.1
-    assert results["executed"][0] < 0.1
+    assert len(results["executed"]) == 3
+    assert max(results["planned"]) < 0.1
+    assert max(results["executed"]) < 0.1
     assert np.shape(results["weights"]) == (10, 8)
     assert (tmp_path / "c" / "Makefile").exists()
     assert (tmp_path / "paths.png").stat().st_size > 0
-    again = [*MODELS, "--steps", "10", "--starts", "1", "--cost", str(tmp_path / "cost.json")]
+    again = [*MODELS, "--steps", "10", "--cost", str(tmp_path / "cost.json")]
     assert run(["learn-video", str(placing), *again, "--out", str(tmp_path / "again")]) == 0, capsys.readouterr()
     assert not (tmp_path / "again" / "cost.json").exists()
     found = json.loads((tmp_path / "again" / "metrics.json").read_text())["results"]

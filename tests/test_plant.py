@@ -1,4 +1,4 @@
-"""The simulated robot behind its camera: what spoils images, and what is remembered of every look."""
+"""The simulated robot behind its camera: what spoils images, what is remembered of every look, and how old it is."""
 
 from dataclasses import dataclass
 
@@ -9,6 +9,8 @@ pytest.importorskip("pybullet")
 pytest.importorskip("torch")
 pytest.importorskip("cv2")
 
+from kpirl_ocp.errors import SceneError
+from kpirl_ocp.perception.plant.asynchronous_plant import AsynchronousPlant
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant, Disturbance
 from kpirl_ocp.perception.scene.bodies import BOTTLE
 from kpirl_ocp.perception.scene.camera import Camera
@@ -79,3 +81,58 @@ def test_a_plant_acts_on_the_scene_and_remembers_every_look():
     assert second.joints[5] - first.joints[5] == pytest.approx(0.2, abs=0.02)
     assert np.array_equal(np.array(plant.images), np.array(detector.shown))
     assert np.linalg.norm(plant.places[1] - plant.places[0]) > 1.0
+
+
+def moved(kind, rate, steps, **settings):
+    """A plant after some steps, and what its detector was shown."""
+    detector = FixedDetector([])
+    with Scene(rate=rate) as scene:
+        scene.reset(inverse_kinematics(0.62, 0.55))
+        plant = kind(scene, detector, **settings)
+        plant.look()
+        for _ in range(steps):
+            plant.act(np.eye(7)[5] * 0.2)
+            plant.look()
+    return plant, detector.shown
+
+
+def test_a_detector_beside_the_controller_sees_the_arm_as_it_was_some_ticks_before():
+    plant, _ = moved(
+        AsynchronousPlant, rate=5, steps=2
+    )  # images at ticks 4, 12, .. of 48, ready 8 later: the one of 36
+    with Scene(rate=5) as scene:
+        scene.reset(inverse_kinematics(0.62, 0.55))
+        for look in (1, 2):
+            scene.command(np.eye(7)[5] * 0.2)
+            for tick in range(1, 49):
+                scene.tick()
+                if tick == 36:
+                    np.testing.assert_array_equal(plant.images[look], scene.render().rgb)
+            assert not np.array_equal(plant.images[look], scene.render().rgb)
+    assert plant.ages == pytest.approx([0, 0.05, 0.05])
+
+
+@pytest.mark.parametrize(
+    ("rate", "latency", "phase"), [(1, 0.0, 0.3), (5, 1 / 30, 0.9), (60, 1 / 30, 0.5), (48, 0.05, 0.0)]
+)
+def test_keypoints_are_at_least_one_latency_and_less_than_one_image_more_old(rate, latency, phase):
+    plant, shown = moved(AsynchronousPlant, rate, steps=9, latency=latency, phase=phase)
+    settled = [age for look, age in enumerate(plant.ages) if look / rate >= latency + 1 / 30]
+    assert settled
+    assert min(settled) >= latency - 1e-9
+    assert max(settled) < latency + 1 / 30 - 1e-9
+    assert len(shown) <= len(plant.images)  # one that nobody reads is not rendered
+
+
+def test_a_detector_without_latency_in_step_with_the_controller_is_a_synchronous_one():
+    beside, _ = moved(AsynchronousPlant, rate=5, steps=3, latency=0.0, phase=0.0)
+    waited, _ = moved(CameraPlant, rate=5, steps=3)
+    np.testing.assert_array_equal(beside.images, waited.images)
+    np.testing.assert_allclose(beside.places, waited.places, atol=1e-9)
+    assert beside.ages == [0.0] * 4
+
+
+@pytest.mark.parametrize("settings", [{"camera_rate": 7}, {"latency": -0.1}, {"phase": 1.0}])
+def test_a_clock_that_cannot_be_is_refused(settings):
+    with Scene() as scene, pytest.raises(SceneError, match=next(iter(settings))):
+        AsynchronousPlant(scene, FixedDetector([]), **settings)

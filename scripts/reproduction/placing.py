@@ -18,6 +18,7 @@ from kpirl_ocp.irl.visual.demonstrations import positions, transferred_demonstra
 from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.perception.detector.keypoints import to_pixels
+from kpirl_ocp.perception.plant.asynchronous_plant import AsynchronousPlant
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant, Disturbance
 from kpirl_ocp.perception.plant.starts import RATE, placing_starts
 from kpirl_ocp.perception.scene.scene import Scene
@@ -96,11 +97,16 @@ def run(models: Models, demonstration: Demonstration, lesson: Lesson) -> Result:
 
 @dataclass(frozen=True)
 class Condition:
-    """A disturbed condition. model_gain: the model's keypoints move this many times as far as they were trained to."""
+    """A disturbed condition.
+
+    model_gain: the model's keypoints move this many times as far as they were trained to.
+    asynchronous: the detector runs beside the controller at 30 Hz.
+    """
 
     disturbance: Disturbance = Disturbance()
     model_gain: float = 1.0
     confidence: float = 0.0
+    asynchronous: bool = False
 
 
 def execution_jobs(models: Models, found: dict[int, Setup], learned: dict[str, Result]) -> list[Job]:
@@ -157,7 +163,8 @@ def play(
     controller = KeypointController.build(dynamics, unpacked(learned), closed_loop, condition.confidence)
     with Scene(rate=RATE) as scene:
         scene.reset(joints)
-        plant = CameraPlant(scene, models.load_detector(), condition.disturbance, rng)
+        kind = AsynchronousPlant if condition.asynchronous else CameraPlant
+        plant = kind(scene, models.load_detector(), condition.disturbance, rng)
         return controller.run(plant, setup.demonstration.context), plant
 
 

@@ -37,7 +37,7 @@ from reproduction.settings import Preset
 from reproduction.sweep import Job, Result
 
 RATE = 5  # [Hz]
-
+LOOPS = ("open", "closed", "asynchronous")  # the last: closed, with a detector that runs beside it at 30 Hz
 
 PLAYED = (*UNROLLED, *LITERAL, APPRENTICE, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS)
 CONTENDERS = (*PLAYED, *SMALL_START, *IMPLICIT, *EFFORT)
@@ -117,34 +117,37 @@ def execution_jobs(
     count = max(preset.demonstrations)
     return [
         Job(
-            f"reaching-executed/{contender.label}-{'closed' if closed else 'open'}",
+            f"reaching-executed/{contender.label}-{loop}",
             execute,
             {
                 "models": models,
                 "tracks": list(tracks[-preset.tests :]),
                 "learned": learned[name_of(contender, count, seed)],
-                "closed_loop": closed,
+                "loop": loop,
             },
         )
         for contender in PLAYED
-        for closed in (False, True)
+        for loop in LOOPS
         if not learned[name_of(contender, count, seed)]["failure"]
     ]
 
 
-def execute(models: Models, tracks: list[ArmTrack], learned: Result, closed_loop: bool) -> Result:
+def execute(models: Models, tracks: list[ArmTrack], learned: Result, loop: str) -> Result:
     """From the start of every test demonstration: relative distances (n_test,) as seen, and tracking errors [rad]."""
+    from kpirl_ocp.perception.plant.asynchronous_plant import AsynchronousPlant
     from kpirl_ocp.perception.plant.camera_plant import CameraPlant
     from kpirl_ocp.perception.scene.scene import Scene
 
     dynamics, detector = models.load_dynamics("reaching"), models.load_detector()
-    controller = KeypointController.build(dynamics, unpacked(learned), closed_loop)
+    controller = KeypointController.build(dynamics, unpacked(learned), loop != "open")
+    kind = AsynchronousPlant if loop == "asynchronous" else CameraPlant
     distances, errors = [], []
     with Scene(rate=RATE) as scene:
         for track in tracks:
             demonstration = robot_demonstration(dynamics, track)
             scene.reset(track.joints[0])
-            done = controller.run(CameraPlant(scene, detector), demonstration.context)
-            distances.append(relative_distance(positions(done.keypoints), demonstration))
+            done = controller.run(kind(scene, detector), demonstration.context)
+            end = CameraPlant(scene, detector).look().keypoints
+            distances.append(relative_distance(positions([*done.keypoints[:-1], end]), demonstration))
             errors.append(done.tracking_error)
     return {"distance": np.array(distances), "tracking_error": np.array(errors)}

@@ -128,9 +128,10 @@ def _reaching(page: Page, outcome: Outcome) -> None:
     meaning.red_keypoint(page, outcome)
     page.text("Played on the simulated arm, first seed:")
     rows = [
-        [c.label, *(cell for loop in ("open", "closed") for cell in _played(outcome, c, loop))] for c in reaching.PLAYED
+        [c.label, *(cell for loop in reaching.LOOPS for cell in _played(outcome, c, loop))] for c in reaching.PLAYED
     ]
-    page.table(["cost", "open loop", "tracking [mrad]", "closed loop (MPC)", "tracking [mrad]"], rows)
+    loops = ("open loop", "closed loop (MPC)", "closed, detector beside at 30 Hz")
+    page.table(["cost", *(head for loop in loops for head in (loop, "tracking [mrad]"))], rows)
 
 
 def _reaching_curves(page: Page, outcome: Outcome) -> None:

@@ -19,7 +19,7 @@ from kpirl_ocp.perception.scene.frame import Frame
 from kpirl_ocp.perception.scene.world import World
 from kpirl_ocp.types import Array
 
-_PHYSICS_RATE = 240  # [Hz]
+PHYSICS_RATE = 240  # [Hz]
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,13 @@ class Scene(World):
     joints: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        if self.rate < 1 or _PHYSICS_RATE % self.rate:
-            raise SceneError(f"rate must divide the {_PHYSICS_RATE} Hz of the simulation, got {self.rate!r}.")
+        if self.rate < 1 or PHYSICS_RATE % self.rate:
+            raise SceneError(f"rate must divide the {PHYSICS_RATE} Hz of the simulation, got {self.rate!r}.")
 
     def __enter__(self) -> Scene:
         super().__enter__()
         self._client.setGravity(0.0, 0.0, -9.81)
-        self._client.setTimeStep(1 / _PHYSICS_RATE)
+        self._client.setTimeStep(1 / PHYSICS_RATE)
         self.urdf = write_arm_with_bottle(self._directory, self.arm, self.flange)
         self._arm = self._load(self.urdf)
         infos = [self._client.getJointInfo(self._arm, i) for i in range(self._client.getNumJoints(self._arm))]
@@ -90,11 +90,24 @@ class Scene(World):
             self._client.resetJointState(self._arm, joint, position, 0.0)
         return self.measure()
 
+    @property
+    def ticks(self) -> int:
+        """Of the physics in one period."""
+        return PHYSICS_RATE // self.rate
+
     def step(self, u: ArrayLike) -> JointState:
         """Command the measured joint positions plus u (7,) [rad], at most to the limits, and wait one period."""
+        self.command(u)
+        for _ in range(self.ticks):
+            self.tick()
+        return self.measure()
+
+    def command(self, u: ArrayLike) -> None:
+        """Set the motors' targets: the measured joint positions plus u (7,) [rad], at most to the limits."""
         target = np.clip(self.measure().positions + self._checked("u", u), *self.joint_limits)
         if self.motors.ideal:
-            return self.reset(target)
+            self.reset(target)
+            return
         for joint, position in zip(self._joints, target, strict=True):
             self._client.setJointMotorControl2(
                 self._arm,
@@ -105,9 +118,11 @@ class Scene(World):
                 velocityGain=self.motors.velocity_gain,
                 maxVelocity=self.motors.velocity_limit,
             )
-        for _ in range(_PHYSICS_RATE // self.rate):
+
+    def tick(self) -> None:
+        """Let 1/240 s pass; the motors follow their targets."""
+        if not self.motors.ideal:
             self._client.stepSimulation()
-        return self.measure()
 
     def measure(self) -> JointState:
         """Joint positions and velocities as the encoders see them."""
