@@ -22,7 +22,8 @@ PROGRAM = r"(?:kpirl|make|python scripts/\w+\.py|pip install) "
 def blocks(page):
     """The commands of a page's blocks, one list of words for each, without comments."""
     text = "".join(re.findall(r"```console\n(.*?)```", page.read_text(), re.DOTALL))
-    return [shlex.split(part, comments=True) for line in text.splitlines() for part in line.split(" && ")]
+    parts = [shlex.split(part, comments=True) for line in text.splitlines() for part in line.split(" && ")]
+    return [words for words in parts if words]
 
 
 def commands(page):

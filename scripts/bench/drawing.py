@@ -1,4 +1,4 @@
-"""The figure: one panel per part that was run."""
+"""The figure: one panel per part that was run, two beside each other, so that their text can be read on a page."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from bench.bars import Bar
 from bench.contenders import JAX, OURS, PLAIN, TORCH
 from bench.part import Numbers
 from bench.settings import Preset
@@ -19,11 +18,11 @@ Results = Mapping[str, Numbers]
 Panel = Callable[[Axes], None]
 
 
-def draw(results: Results, bars: list[Bar], preset: Preset, path: Path) -> Path:
+def draw(results: Results, preset: Preset, path: Path) -> Path:
     """Write the PNG."""
-    panels = _panels(results, bars, preset)
-    columns = min(3, len(panels))
-    figure, axes = figures.new_figure(-(-len(panels) // columns), columns, width=5.2, height=4.0)
+    panels = _panels(results, preset)
+    columns = min(2, len(panels))
+    figure, axes = figures.new_figure(-(-len(panels) // columns), columns, width=5.0, height=3.8)
     for axis, panel in zip(axes, panels, strict=False):
         panel(axis)
     for axis in axes[len(panels) :]:
@@ -31,7 +30,7 @@ def draw(results: Results, bars: list[Bar], preset: Preset, path: Path) -> Path:
     return figures.save(figure, path)
 
 
-def _panels(results: Results, bars: list[Bar], preset: Preset) -> list[Panel]:
+def _panels(results: Results, preset: Preset) -> list[Panel]:
     panels: list[Panel] = []
     if "hypergradients" in results:
         grid = results["hypergradients"]["grid"]
@@ -44,8 +43,6 @@ def _panels(results: Results, bars: list[Bar], preset: Preset) -> list[Panel]:
         "iiwa": _iiwa,
     }
     panels += [lambda axis, name=name: drawn[name](axis, results[name]) for name in drawn if name in results]
-    if any(bar.measured is not None for bar in bars):
-        panels.append(lambda axis: _bars(axis, bars))
     return panels or [lambda axis: axis.text(0.5, 0.5, "nothing to draw", ha="center")]
 
 
@@ -121,13 +118,3 @@ def _iiwa(axis: Axes, numbers: Numbers) -> None:
     axis.set(xscale="log", xlabel="loss and gradient [ms]", title="iiwa, ground-truth keypoints, T = 9")
     axis.invert_yaxis()
     axis.grid(alpha=0.3, axis="x")
-
-
-def _bars(axis: Axes, bars: list[Bar]) -> None:
-    shown = [(bar, bar.measured / bar.limit) for bar in bars if bar.measured is not None]
-    colours = [figures.COLOURS[2] if share <= 1 else figures.COLOURS[1] for _, share in shown]
-    axis.barh(range(len(shown)), [share for _, share in shown], color=colours)
-    axis.axvline(1, color="black", linewidth=1)
-    axis.set_yticks(range(len(shown)), [bar.claim for bar, _ in shown], fontsize=6)
-    axis.set(xlabel="measured / bar (green: met)", title="bars")
-    axis.invert_yaxis()

@@ -80,4 +80,4 @@ def main(args: Namespace) -> None:
     written = args.out / "benchmark.md"
     written.write_text("\n\n".join(map(str, tables)) + "\n")
     print(f"tables:  {written}\nnumbers: {write_metrics(args.out, settings, results)}")
-    print(f"figure:  {drawing.draw(numbers, claims, PRESETS[args.preset], args.out / 'benchmark.png')}")
+    print(f"figure:  {drawing.draw(numbers, PRESETS[args.preset], args.out / 'benchmark.png')}")

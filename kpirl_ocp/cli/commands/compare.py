@@ -32,11 +32,11 @@ def as_row(measurement: Measurement, resolution: float) -> list[object]:
 def draw(measurements: list[Measurement], learning: dict[str, LearningResult], resolution: float, path: Path) -> Path:
     """`resolution`: the relative error to which the reference is known; smaller errors are drawn there."""
     figure, axes = figures.new_figure(2, 2, width=5.0, height=3.6)
-    names = list(dict.fromkeys(m.method for m in measurements))
+    colours = dict(zip(dict.fromkeys(m.method for m in measurements), figures.COLOURS, strict=False))
     quantities = [("error", 1, "relative error"), ("seconds", 1e3, "time per gradient [ms]")]
     quantities += [("memory", 2**-20, "peak memory, building included [MB]")]
     for axis, (field, factor, label) in zip(axes, quantities, strict=False):
-        for colour, name in zip(figures.COLOURS, names, strict=False):
+        for name, colour in colours.items():
             floor = resolution if field == "error" else 0.0
             points = [(m.steps, max(floor, factor * getattr(m, field))) for m in measurements if m.method == name]
             if points[0][0]:
@@ -45,8 +45,10 @@ def draw(measurements: list[Measurement], learning: dict[str, LearningResult], r
                 axis.axhline(points[0][1], color=colour, linestyle="--", label=name)
         axis.set(xscale="log", yscale="log", xlabel="inner gradient steps N", ylabel=label)
     axes[0].legend(fontsize=7)
-    for colour, (name, result) in zip(figures.COLOURS, learning.items(), strict=False):
-        axes[3].plot(result.seconds[1:], result.losses[1:], color=colour, label=name)
+    for name, result in learning.items():
+        same = [other for other in learning if other.split(",")[0] == name.split(",")[0]]  # a method has one colour
+        shade = np.linspace(0.35, 1.0, len(same))[same.index(name)] if len(same) > 1 else 1.0
+        axes[3].plot(result.seconds[1:], result.losses[1:], color=colours[name.split(",")[0]], alpha=shade, label=name)
     axes[3].set(xscale="log", yscale="log", xlabel="wall time [s]", ylabel="IRL loss, with its own inner loop")
     axes[3].legend(fontsize=7)
     for axis in axes:
