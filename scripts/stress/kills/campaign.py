@@ -33,17 +33,17 @@ def measure(profile: Profile) -> Part:
                 _run(program, data, data / program.name)
         found = {program.name: torment(program, data, Path(base), profile.kills) for program in programs}
     rows = [[name, profile.kills, *numbers.values()] for name, numbers in found.items()]
-    header = ["program", "kills", "runs that ended", "other bytes", "left"]
+    header = ["program", "kills", "with work to go on from", "runs that ended", "other bytes", "left"]
     return Part(found, [Table("kill -9 at random moments", header, rows, _NOTE)])
 
 
 def torment(program: Program, data: Path, base: Path, kills: int) -> dict[str, object]:
-    """Count the runs that ended, the files that differ from those of a run in peace, and files left behind."""
+    """Count the kills that left work, the runs that ended, files other than those of a run in peace, and leftovers."""
     peaceful, out = base / f"{program.name} in peace", base / program.name
     started = time.monotonic()
     _run(program, data, peaceful)
     length, rng = time.monotonic() - started, np.random.default_rng(0)
-    ended, different, left = 0, set(), set()
+    kept, ended, different, left = 0, 0, set(), set()
     for number in tqdm(range(kills + 1), program.name, unit="kill"):
         while _ends(program, data, out, rng.uniform(0, length) if number < kills else None):
             ended += 1
@@ -52,7 +52,8 @@ def torment(program: Program, data: Path, base: Path, kills: int) -> dict[str, o
             shutil.rmtree(out)
             if number == kills:
                 break
-    return {"ended": ended, "different": sorted(different), "left": sorted(left)}
+        kept += any(Path(name).name not in program.volatile and ".part" not in name for name in _files(out))
+    return {"kept": kept, "ended": ended, "different": sorted(different), "left": sorted(left)}
 
 
 def _ends(program: Program, data: Path, out: Path, moment: float | None) -> bool:
