@@ -6,7 +6,9 @@ stored. `Episode` holds a demonstration in 3-D keypoints; perception has others 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import fcntl
 import glob
 import json
 import os
@@ -201,7 +203,7 @@ def _arrays(episode: Any) -> dict[str, np.ndarray[Any, Any]]:
 class atomic_write:
     """A file that takes its name only when it has been written to the end.
 
-    What a killed process of this machine left of the same file is removed.
+    What a killed process of this machine left of the same file is removed: nobody holds its lock.
     """
 
     def __init__(self, path: Path) -> None:
@@ -210,25 +212,32 @@ class atomic_write:
 
     def __enter__(self) -> BinaryIO:
         for left in self.path.parent.glob(f".{glob.escape(self.path.name)}.{glob.escape(platform.node())}.*.part"):
-            process = left.name.split(".")[-2]
-            if process.isdigit() and not _alive(int(process)):
-                left.unlink(missing_ok=True)
-        self.file = self.part.open("wb")
+            _remove_unless_locked(left)
+        self.file = _locked(self.part)
         return self.file
 
     def __exit__(self, kind: object, *_: object) -> None:
-        self.file.close()
         if kind is None:
+            self.file.flush()
             self.part.replace(self.path)
         else:
             self.part.unlink()
+        self.file.close()
 
 
-def _alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
+def _locked(path: Path) -> BinaryIO:
+    """An empty file that this process holds; where the file system has no locks, it is not held."""
+    while True:
+        file = path.open("wb")
+        with contextlib.suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                return file
+        file.close()  # another process took it for a left one before it was locked
+
+
+def _remove_unless_locked(path: Path) -> None:
+    with contextlib.suppress(OSError), path.open("rb") as file:  # of others, locked, or gone
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        path.unlink()

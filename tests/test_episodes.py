@@ -140,13 +140,15 @@ def test_what_a_killed_process_left_of_a_file_is_removed_and_that_of_living_ones
     code = f"import os\nfrom pathlib import Path\nfrom kpirl_ocp.episodes import atomic_write\n{dying}"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
     assert len(list(tmp_path.iterdir())) == 1
-    living = tmp_path / f".{path.name}.{platform.node()}.1.part"
     elsewhere = tmp_path / f".{path.name}.elsewhere.{2**22 + 1}.part"
-    living.touch()
     elsewhere.touch()
-    with atomic_write(path) as file:
-        file.write(b"whole")
-    assert set(tmp_path.iterdir()) == {path, living, elsewhere}
+    living = atomic_write(path)
+    living.part = tmp_path / f".{path.name}.{platform.node()}.1.part"
+    with living as slow:
+        with atomic_write(path) as file:
+            file.write(b"whole")
+        assert set(tmp_path.iterdir()) == {path, living.part, elsewhere}
+        slow.write(b"whole")
     assert path.read_bytes() == b"whole"
 
 
