@@ -11,6 +11,7 @@ import dataclasses
 import fcntl
 import glob
 import json
+import math
 import os
 import platform
 import zlib
@@ -18,13 +19,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile, is_zipfile
 
 import numpy as np
 from numpy.typing import DTypeLike
 
-from kpirl_ocp.archives import check_size
 from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.sizes import check_bytes, read_json
 from kpirl_ocp.types import Array
 
 _VERSION = 1
@@ -130,7 +131,7 @@ def read_meta(directory: Path) -> dict[str, Any]:
     """The meta data of a directory of episodes. Raises EpisodeError if there are none, or of another version."""
     path = directory / "meta.json"
     try:
-        meta = json.loads(path.read_text())
+        meta = read_json(path)
     except FileNotFoundError:
         raise EpisodeError(
             f"{path} does not exist: make demonstrations with `kpirl demonstrate`, camera data with `kpirl collect`."
@@ -149,7 +150,7 @@ def _is_count(value: Any) -> bool:
 def read_episode(path: Path, kind: type[E]) -> E:
     """One episode. Raises EpisodeError, naming file and key, if anything is amiss."""
     try:
-        check_size(path)
+        check_archive(path)
         with np.load(path, allow_pickle=False) as file:
             arrays = {entry.name: file[entry.metadata["key"]] for entry in _entries(kind)}
     except FileNotFoundError:
@@ -198,6 +199,26 @@ def _entries(kind: type[Any]) -> tuple[dataclasses.Field[Any], ...]:
 
 def _arrays(episode: Any) -> dict[str, np.ndarray[Any, Any]]:
     return {entry.metadata["key"]: getattr(episode, entry.name) for entry in _entries(type(episode))}
+
+
+def check_archive(path: Path) -> None:
+    """Look at the sizes that an archive of arrays (.npz) and the headers in it announce.
+
+    Raises:
+        ValueError: more than 2 GiB in all, or a header that announces more than is there.
+    """
+    if not is_zipfile(path):
+        return
+    with ZipFile(path) as archive:
+        members = archive.infolist()
+        check_bytes(sum(member.file_size for member in members))
+        for member in members:
+            with archive.open(member) as file:
+                version = np.lib.format.read_magic(file)
+                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                shape, _, dtype = read(file)
+            if math.prod(shape) * dtype.itemsize > member.file_size:
+                raise ValueError(f"{member.filename} announces an array of {shape} {dtype}, and is too short for it.")
 
 
 class atomic_write:

@@ -21,6 +21,7 @@ from safetensors.numpy import load, save
 
 from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import ModelError
+from kpirl_ocp.sizes import read_json
 from kpirl_ocp.types import Array
 
 DETECTOR, DYNAMICS = "kpirl_ocp.detector", "kpirl_ocp.dynamics"
@@ -98,7 +99,7 @@ def report_mismatch(path: str | Path) -> Iterator[None]:
 
 def _entries(path: Path) -> dict[str, Any]:
     try:
-        entries = json.loads(path.read_text())
+        entries = read_json(path)
     except FileNotFoundError:
         raise ModelError(f"there is no model card {path}: train a model first.") from None
     except (OSError, ValueError) as error:

@@ -12,6 +12,7 @@ import yaml
 
 from kpirl_ocp.cli.values import existing_file
 from kpirl_ocp.errors import OptionError
+from kpirl_ocp.sizes import read_text
 from kpirl_ocp.spelling import suggestion
 
 _COMMON = ("config", "quiet", "help")
@@ -116,11 +117,14 @@ def build_parser(program: str, description: str, add_options: Callable[[Parser],
 def read_config(path: Path) -> dict[str, Any]:
     """The options in a YAML file. Raises OptionError, naming it, if it is not a mapping."""
     try:
-        content = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        content = yaml.safe_load(read_text(path))
+    except (yaml.YAMLError, OSError, ValueError, RecursionError) as error:
         raise OptionError(f"{path} is not a YAML file: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
         raise OptionError(f"{path} must be a mapping from options to values")
+    for name, value in content.items():
+        if any(isinstance(item, list | dict) for item in (value if isinstance(value, list) else [value])):
+            raise OptionError(f"{path}: {name!r} must be one value or a list of values, and not nested")
     return content
 
 

@@ -12,6 +12,7 @@ import hashlib
 import inspect
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -24,8 +25,8 @@ import numpy as np
 from tqdm import tqdm
 
 import kpirl_ocp
-from kpirl_ocp.episodes import atomic_write
-from kpirl_ocp.errors import DependencyError, ProblemError
+from kpirl_ocp.episodes import atomic_write, check_archive
+from kpirl_ocp.errors import DependencyError, FileError, ProblemError
 
 Result = dict[str, Any]
 # What jobs are made of: workers elsewhere have the package installed, but not these, and are sent them.
@@ -80,8 +81,12 @@ def _call(job: Job) -> tuple[str, Result]:
 
 
 def _read(path: Path) -> Result:
-    with np.load(path, allow_pickle=False) as file:
-        return {key: value[()] for key, value in file.items()}
+    try:
+        check_archive(path)
+        with np.load(path, allow_pickle=False) as file:
+            return {key: value[()] for key, value in file.items()}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise FileError(f"{path} is no finished result ({error}): remove it, and run the command again.") from error
 
 
 @contextlib.contextmanager

@@ -18,6 +18,7 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.sizes import read_json
 from kpirl_ocp.types import Array
 
 BASES: dict[str, type] = {"weighted": Weighted, "time": TimeDependent, "rbf": RBF, "default": Default}
@@ -122,7 +123,7 @@ class LearnedCost:
             FileError: the file is missing or is no learned cost; the message names it.
         """
         try:
-            content = json.loads(path.read_text())
+            content = read_json(path)
             effort = content["effort"]
             cost = KeypointCost(
                 basis=_build(BASES, content["basis"]),

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kpirl_ocp.archives import check_size
-from kpirl_ocp.episodes import atomic_write
+from kpirl_ocp.episodes import atomic_write, check_archive
 from kpirl_ocp.errors import FileError
 from kpirl_ocp.irl.learning.optimisers import Point
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
@@ -74,7 +73,7 @@ class Checkpoint:
         if self.path is None or not self.path.exists():
             return None
         try:
-            check_size(self.path)
+            check_archive(self.path)
             with np.load(self.path, allow_pickle=False) as file:
                 arrays = dict(file)
             header = json.loads(str(arrays["header"]))

@@ -23,6 +23,7 @@ from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
+from kpirl_ocp.sizes import read_json
 from kpirl_ocp.types import Array
 
 _KIND = "kpirl_ocp.visual_cost"
@@ -93,7 +94,7 @@ def read_planning_cost(path: Path, dynamics: NetworkDynamics) -> PlanningCost:
     Raises FileError if the file holds something else, or the cost is for other dynamics.
     """
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path)
         kind = content["kind"]
         cost = PlanningCost(
             np.array(content["weights"], float), np.array(content["efforts"], float), solver_of_json(content["solver"])

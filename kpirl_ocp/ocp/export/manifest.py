@@ -18,6 +18,7 @@ from kpirl_ocp.ocp.codegen.target import Target
 from kpirl_ocp.ocp.export.constants import dimensions, number
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.sizes import read_json
 from kpirl_ocp.types import Array
 
 FORMAT = 2  # of the folder and its C interface
@@ -54,7 +55,7 @@ def read(folder: Path) -> dict[str, Any]:
     """The manifest of a folder that this version reads. Raises FileError for anything else."""
     path = folder / NAME
     try:
-        manifest = json.loads(path.read_text())
+        manifest = read_json(path)
     except FileNotFoundError:
         raise FileError(f"{path} does not exist: export a controller with export_c or `kpirl export`.") from None
     except (OSError, ValueError) as error:
@@ -83,7 +84,7 @@ def remove_former(folder: Path, kept: Mapping[str, str]) -> None:
 def _listed(folder: Path) -> dict[str, str]:
     """Hashes by name, of whatever format."""
     try:
-        hashes = json.loads((folder / NAME).read_text())["sha256"]
+        hashes = read_json(folder / NAME)["sha256"]
         return {str(name): str(value) for name, value in hashes.items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return {}

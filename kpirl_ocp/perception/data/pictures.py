@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import re
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from kpirl_ocp.errors import FileError
 
@@ -31,10 +34,25 @@ def iterate_pictures(folder: Path) -> Iterator[NDArray[np.uint8]]:
         raise FileError(f"the folder {folder} holds no PNG or JPEG pictures.")
     shape = None
     for path in paths:
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if image is None:
-            raise FileError(f"{path} cannot be read as an image.")
+        image = decode_picture(path.read_bytes(), str(path))
         shape = shape or image.shape
         if image.shape != shape:
             raise FileError(f"the images in {folder} differ in size: {path.name} is {image.shape[1::-1]} pixels.")
-        yield np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+        yield image
+
+
+def decode_picture(content: bytes, place: str) -> NDArray[np.uint8]:
+    """The picture (H, W, 3) RGB in a PNG or JPEG file, upright as the camera noted (EXIF).
+
+    Raises FileError, naming `place`, for more than 89 million pixels (Pillow's limit), and for what is no such file.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            Image.open(io.BytesIO(content), formats=("PNG", "JPEG")).close()  # reads the header alone
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+        raise FileError(f"{place} cannot be read as an image: {error}") from error
+    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise FileError(f"{place} cannot be read as an image: it is damaged.")
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)

@@ -11,8 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from kpirl_ocp.archives import check_size
-from kpirl_ocp.episodes import read_episode, stored
+from kpirl_ocp.episodes import check_archive, read_episode, stored
 from kpirl_ocp.perception.data.video import read_demonstration, sample_indices
 from kpirl_ocp.perception.scene.frame import Frame
 from kpirl_ocp.types import Array
@@ -75,7 +74,7 @@ def read_arm_film(path: Path) -> MeasuredArmFilm:
     Raises EpisodeError, naming file and key, if anything is amiss.
     """
     try:
-        check_size(path)
+        check_archive(path)
         with np.load(path, allow_pickle=False) as file:
             measured = "observation.velocity" in file.files
     except (OSError, ValueError, BadZipFile):

@@ -9,18 +9,19 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.archives import check_size
-from kpirl_ocp.episodes import atomic_write
+from kpirl_ocp.episodes import atomic_write, check_archive
 from kpirl_ocp.errors import DemonstrationError, FileError
 from kpirl_ocp.perception.data.video import sampled
 from kpirl_ocp.perception.tracking.similarity import transform
 from kpirl_ocp.perception.tracking.tracker import Located
+from kpirl_ocp.sizes import check_bytes, read_text
 from kpirl_ocp.types import Array, Mask
 
 _PLACES = ("tracks", "pred_tracks", "positions", "points")
@@ -146,7 +147,7 @@ def read_tracks(path: str | Path, *, rate: float | None = None, size: tuple[int,
 
 def _from_npz(path: Path, size: tuple[int, int] | None) -> tuple[Array, Array, Array | None, tuple[int, int] | None]:
     try:
-        check_size(path)
+        check_archive(path)
         with np.load(path, allow_pickle=False) as file:
             content = {name: file[name] for name in file.files}
     except (OSError, ValueError, BadZipFile) as error:
@@ -175,20 +176,23 @@ def _taken(content: Mapping[str, Array], names: tuple[str, ...]) -> Array | None
 
 
 def _from_csv(path: Path) -> tuple[Array, Array, Array | None]:
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    try:
+        rows = list(csv.DictReader(StringIO(read_text(path), newline="")))
+    except (OSError, ValueError, csv.Error) as error:
+        raise FileError(f"{path} cannot be read as CSV: {error}") from error
     if not rows or not {"point", "x", "y"} <= rows[0].keys() or not {"time", "frame"} & rows[0].keys():
         raise FileError(f"{path} must have the columns point, x, y, and time or frame; visibility if it is known.")
     when = "time" if "time" in rows[0] else "frame"
     try:
         moments = sorted({float(row[when]) for row in rows})
         names = list(dict.fromkeys(row["point"] for row in rows))
+        check_bytes(24 * len(moments) * len(names))
         positions = np.full((len(moments), len(names), 2), np.nan)
         confidence = np.zeros((len(moments), len(names)))
         for row in rows:
             place = moments.index(float(row[when])), names.index(row["point"])
             positions[place] = float(row["x"]), float(row["y"])
             confidence[place] = float(row.get("visibility") or 1.0)
-    except ValueError as error:
-        raise FileError(f"{path} holds something that is no number: {error}") from error
+    except (TypeError, ValueError) as error:
+        raise FileError(f"{path} holds something that is no number, or too much: {error}") from error
     return positions, confidence, np.array(moments) if when == "time" else None

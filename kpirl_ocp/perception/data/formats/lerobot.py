@@ -16,14 +16,16 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from kpirl_ocp.errors import DependencyError, EpisodeError
+from kpirl_ocp.errors import DependencyError, EpisodeError, FileError
 from kpirl_ocp.perception.data.formats.take import Take, VideoPart
+from kpirl_ocp.perception.data.pictures import decode_picture
 from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.sizes import check_bytes, read_json, read_text
 
+_ROWS = 64  # of a table that are read at once
 BOOKKEEPING = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
@@ -56,7 +58,7 @@ class _DataSet:
     def info(self) -> dict[str, Any]:
         path = self.root / "meta" / "info.json"
         try:
-            info = json.loads(path.read_text())
+            info = read_json(path)
         except (OSError, ValueError) as error:
             raise EpisodeError(f"{path} cannot be read; is {self.root} a LeRobot data set? ({error})") from error
         missing = [key for key in ("codebase_version", "fps", "features", "data_path") if key not in info]
@@ -132,16 +134,35 @@ class _DataSet:
         return {"episode_chunk": number // int(self.info.get("chunks_size", 1000)), "episode_index": number}
 
     def _table(self, path: Path) -> Any:
+        arrow = parquet()
         try:
-            return parquet().read_table(path)
+            with arrow.ParquetFile(path) as file:
+                return _whole(file)
         except (OSError, ValueError) as error:  # pyarrow's own errors are ValueErrors
             raise EpisodeError(f"{path} cannot be read as Parquet: {error}") from error
 
 
+def _whole(file: Any) -> Any:
+    """The table of an open Parquet file. Raises ValueError for more than 2 GiB, however few bytes encode them."""
+    about, arrow = file.metadata, import_module("pyarrow")
+    check_bytes(max(8 * about.num_rows * about.num_columns, _announced(about)))
+    batches, count = [], 0
+    for batch in file.iter_batches(_ROWS):
+        columns = [column.dictionary_decode() if hasattr(column, "dictionary_decode") else column for column in batch]
+        batches.append(arrow.RecordBatch.from_arrays(columns, batch.schema.names))
+        count += batches[-1].nbytes
+        check_bytes(count)
+    return arrow.Table.from_batches(batches) if batches else file.schema_arrow.empty_table()
+
+
+def _announced(about: Any) -> int:
+    return sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups))
+
+
 def _lines(path: Path) -> Iterator[dict[str, Any]]:
     try:
-        yield from (json.loads(line) for line in path.read_text().splitlines() if line.strip())
-    except (OSError, ValueError) as error:
+        yield from (json.loads(line) for line in read_text(path).splitlines() if line.strip())
+    except (OSError, ValueError, RecursionError) as error:
         raise EpisodeError(f"{path} cannot be read as JSON lines: {error}") from error
 
 
@@ -150,8 +171,9 @@ def _pictures(cells: Iterable[dict[str, Any]], place: str) -> Frames:
     images = []
     for cell in cells:
         content = (cell or {}).get("bytes")
-        image = None if content is None else cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-        if image is None:
-            raise EpisodeError(f"{place}: holds a picture that cannot be read.")
-        images.append(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+        try:
+            images.append(decode_picture(content or b"", "a picture"))
+            check_bytes(len(images) * images[-1].nbytes)
+        except (FileError, ValueError) as error:
+            raise EpisodeError(f"{place}: {error}") from error
     return np.array(images, np.uint8)

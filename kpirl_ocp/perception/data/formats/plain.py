@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
 
-from kpirl_ocp.archives import check_size
+from kpirl_ocp.episodes import check_archive
 from kpirl_ocp.errors import EpisodeError
 from kpirl_ocp.perception.data.formats.take import Take
+from kpirl_ocp.sizes import read_text
 from kpirl_ocp.types import Array
 
 
@@ -30,9 +32,8 @@ def read_csv(
         EpisodeError: a column is missing, or a cell is no number; it names the line.
     """
     try:
-        with Path(path).open(newline="") as file:
-            rows = list(csv.reader(file, skipinitialspace=True))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.reader(StringIO(read_text(Path(path)), newline=""), skipinitialspace=True))
+    except (OSError, ValueError, csv.Error) as error:
         raise EpisodeError(f"{path} cannot be read as CSV: {error}") from error
     header = [name.strip() for name in rows[0]] if rows else []
     wanted = [*(name for names in columns.values() for name in names), *([time] if time else [])]
@@ -56,7 +57,7 @@ def read_npz(path: str | Path, *, time: str | None = None, rate: float | None = 
         EpisodeError: the file cannot be read, an array is missing, or lengths differ.
     """
     try:
-        check_size(Path(path))
+        check_archive(Path(path))
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except (OSError, ValueError, BadZipFile) as error:

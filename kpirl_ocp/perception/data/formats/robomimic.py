@@ -15,6 +15,7 @@ import numpy as np
 from kpirl_ocp.errors import DependencyError, EpisodeError
 from kpirl_ocp.perception.data.formats.take import Take
 from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.sizes import check_bytes
 
 
 def read_robomimic(path: str | Path, split: str | None = None, rate: float | None = None) -> list[Take]:
@@ -42,8 +43,19 @@ def read_robomimic(path: str | Path, split: str | None = None, rate: float | Non
     with file:
         if "data" not in file:
             raise EpisodeError(f"{path} has no group 'data'; it is no robomimic data set.")
+        try:
+            check_bytes(_announced(file["data"]))
+        except ValueError as error:
+            raise EpisodeError(f"{path} cannot be read: {error}") from error
         rate = rate or _control_rate(path, file["data"].attrs)
         return [_take(f"{path}, {name}", file["data"][name], rate) for name in _names(path, file, split)]
+
+
+def _announced(group: Any) -> int:
+    """Bytes of all arrays of a group, as its headers say."""
+    sizes: list[int] = []
+    group.visititems(lambda _, found: sizes.append(getattr(found, "nbytes", 0)))
+    return sum(sizes)
 
 
 def _names(path: str | Path, file: Any, split: str | None) -> list[str]:

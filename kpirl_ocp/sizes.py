@@ -1,0 +1,38 @@
+"""Files from elsewhere: their sizes are looked at before memory is taken."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+LARGEST = 2 * 2**30  # [bytes] of one file, unpacked; an episode of camera images has some 10 MB
+_LARGEST_TEXT = 2**28  # [bytes]; a cost has some kB, the table of a large data set some MB
+
+
+def check_bytes(count: int) -> None:
+    """Raise ValueError for more than 2 GiB."""
+    if count > LARGEST:
+        raise ValueError(f"it unpacks to {count / 2**30:.1f} GiB; at most {LARGEST / 2**30:g} GiB are read.")
+
+
+def read_text(path: Path) -> str:
+    """The text of a file.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it has more than 256 MiB, or is not UTF-8.
+    """
+    with path.open("rb") as file:
+        content = file.read(_LARGEST_TEXT + 1)
+    if len(content) > _LARGEST_TEXT:
+        raise ValueError(f"it has more than {_LARGEST_TEXT // 2**20} MiB of text.")
+    return content.decode()
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file; errors as in `read_text`, and ValueError for what is no JSON."""
+    try:
+        return json.loads(read_text(path))
+    except RecursionError:
+        raise ValueError("it is nested too deeply.") from None
