@@ -1,12 +1,18 @@
-"""Many solves at once: the numbers of single solves, whatever the number of threads."""
+"""Many solves and gradients at once: the numbers of single ones, whatever the number of threads."""
+
+import os
+import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from problems import TABLE
 
-from kpirl_ocp import Riccati, Status
-from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.solvers import solve_many
+from kpirl_ocp import LBFGS, Implicit, Ipopt, Riccati, Status, learn
+from kpirl_ocp.errors import CertificateError, ProblemError
+from kpirl_ocp.irl.hypergradients import implicit
+from kpirl_ocp.ocp.sensitivity import sensitivity
+from kpirl_ocp.ocp.solvers import pull_many, solve_many
 
 CASE = TABLE["integrator"]()
 STARTS = CASE.demonstration.s0 + np.linspace(-0.2, 0.2, 12)[:, None] * [1.0, 0.0]
@@ -53,3 +59,52 @@ def test_what_does_not_fit_is_refused(arguments, message):
     given = dict(s0=STARTS, psi=CASE.psi, context=CASE.demonstration.context) | arguments
     with pytest.raises(ProblemError, match=message):
         solve_many(CASE.problem, **given)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_many_gradients_are_those_of_single_solutions(threads):
+    problem, rng = CASE.problem, np.random.default_rng(0)
+    solutions = solve_many(problem, STARTS, CASE.psi, CASE.demonstration.context)
+    by_states, by_actions = (
+        rng.normal(size=(len(STARTS), *getattr(solutions[0], name).shape)) for name in ("states", "actions")
+    )
+    found = pull_many(problem, solutions, by_states, by_actions, "flag", threads)
+    for solution, gradients, *slopes in zip(solutions, found, by_states, by_actions, strict=True):
+        single = sensitivity(problem, solution, "flag").pull(*slopes)
+        for name in ("psi", "s0", "context"):
+            np.testing.assert_array_equal(getattr(gradients, name), getattr(single, name))
+        assert gradients.certificate.evidence() == single.certificate.evidence()
+
+
+def test_many_gradients_need_slopes_for_every_solution_and_certificates():
+    problem, solutions = CASE.problem, solve_many(CASE.problem, STARTS[:2], CASE.psi, CASE.demonstration.context)
+    slopes = [np.ones((2, *getattr(solutions[0], name).shape)) for name in ("states", "actions")]
+    with pytest.raises(ProblemError, match="pull_many needs as many of everything"):
+        pull_many(problem, solutions[:1], *slopes)
+    short = Riccati(max_iterations=1).solve(problem, STARTS[0], CASE.psi, CASE.demonstration.context)
+    with pytest.raises(CertificateError, match="did not converge"):
+        pull_many(problem, [short, solutions[1]], *slopes)
+
+
+@pytest.mark.parametrize("solver", [Riccati(), Ipopt()])
+def test_an_implicit_gradient_of_several_demonstrations_is_that_of_each(solver):
+    demonstrations = [replace(CASE.demonstration, s0=start) for start in STARTS[:4]]
+    method = Implicit(solver, policy="flag")
+    for demonstration, result in zip(demonstrations, method.batch(CASE.problem, demonstrations, CASE.psi), strict=True):
+        single = method(CASE.problem, demonstration, CASE.psi)
+        assert result.loss == single.loss
+        np.testing.assert_array_equal(result.gradient, single.gradient)
+
+
+def test_learning_from_several_demonstrations_evaluates_them_side_by_side(monkeypatch):
+    threads, differentiate = set(), implicit.differentiate
+
+    def watched(*arguments):
+        threads.add(threading.get_ident())
+        return differentiate(*arguments)
+
+    monkeypatch.setattr(implicit, "differentiate", watched)
+    monkeypatch.setattr(os, "cpu_count", lambda: 4)
+    demonstrations = [replace(CASE.demonstration, s0=start) for start in STARTS]
+    learn(CASE.problem, demonstrations, CASE.psi, Implicit(policy="flag"), LBFGS(), 1)
+    assert threading.get_ident() not in threads

@@ -11,7 +11,9 @@ pass over the stages (`kpirl_ocp.ocp.sensitivity`): O(T) in time and memory.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 from numpy.typing import ArrayLike
@@ -28,6 +30,7 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
 from kpirl_ocp.ocp.sensitivity.certificate import check_policy
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
+from kpirl_ocp.ocp.solvers.many import side_by_side
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Demonstration, Solution
 
@@ -59,12 +62,33 @@ class Implicit:
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
         """Loss, gradient (n_psi,) and certificate at psi (n_psi,); arguments and errors as in `Hypergradient`."""
+        return enforce(self.policy, self._evaluate(problem, psi, demonstration, guess))
+
+    def batch(
+        self,
+        problem: OCP,
+        demonstrations: Sequence[Demonstration],
+        psi: ArrayLike,
+        guesses: Sequence[Guess] | None = None,
+    ) -> list[HypergradientResult]:
+        """One result per demonstration, the numbers of single calls; with `Riccati` side by side in threads.
+
+        guesses: to start from, one per demonstration; None starts all from no action.
+        """
+        threads = None if isinstance(self.solver, Riccati) and len(demonstrations) > 1 else 1
+        one = partial(self._evaluate, problem, psi)
+        found = side_by_side(one, demonstrations, guesses or [None] * len(demonstrations), threads=threads)
+        return [enforce(self.policy, result) for result in found]
+
+    def _evaluate(
+        self, problem: OCP, psi: ArrayLike, demonstration: Demonstration, guess: Guess
+    ) -> HypergradientResult:
         solver: Solver = self.solver
         if self.policy == "smooth" and isinstance(solver, BarrierSolver):
             solver = solver.with_barrier(self.barrier)
         numbers = demonstration.s0, psi, demonstration.context
         solution, derivatives = solve_and_linearise(solver, problem, *numbers, guess)
-        return enforce(self.policy, differentiate(problem, demonstration, solution, self.loss, derivatives))
+        return differentiate(problem, demonstration, solution, self.loss, derivatives)
 
 
 def differentiate(

@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import Hypergradient, HypergradientResult
+from kpirl_ocp.irl.hypergradients.implicit import Implicit
 from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
 from kpirl_ocp.irl.learning.arguments import (
     check_bounds,
@@ -137,7 +138,7 @@ class Learner:
 
     def _results(self, psi: Array, starts: Sequence[Guess]) -> list[HypergradientResult]:
         rows = list(zip(self.problems, self.demonstrations, starts, strict=True))
-        if not isinstance(self.hypergradient, Unrolled):
+        if not isinstance(self.hypergradient, Unrolled | Implicit):
             return [self.hypergradient(problem, demo, psi, start) for problem, demo, start in rows]
         found: dict[int, HypergradientResult] = {}
         for problem in dict.fromkeys(self.problems):  # side by side where the horizon is the same

@@ -1,10 +1,12 @@
-"""Many solves at once, over threads: the work is done in C, which lets other threads run."""
+"""Many solves, and gradients of many, at once over threads: the work is done in C, which lets other threads run."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,8 +14,12 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, Solver
+from kpirl_ocp.ocp.sensitivity.certificate import Policy
+from kpirl_ocp.ocp.sensitivity.solution_sensitivity import Gradients, sensitivity
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, Solution
+
+R = TypeVar("R")
 
 
 def solve_many(
@@ -49,12 +55,56 @@ def solve_many(
         counts["guesses"] = len(guesses)
     if len(set(counts.values())) > 1:
         raise ProblemError(f"solve_many needs as many of everything, got {counts}.")
-    if threads is not None and threads < 1:
-        raise ProblemError(f"threads must be at least 1, got {threads}.")
     count = next(iter(counts.values()), 1)
     columns = [np.broadcast_to(array, (count, array.shape[-1])) for array in arrays.values()]
+    return side_by_side(partial(solver.solve, problem), *columns, guesses or [None] * count, threads=threads)
+
+
+def pull_many(
+    problem: OCP,
+    solutions: Sequence[Solution],
+    by_states: ArrayLike,
+    by_actions: ArrayLike,
+    policy: Policy = "raise",
+    threads: int | None = None,
+) -> list[Gradients]:
+    """Gradients of functions of B solutions; the results do not depend on the number of threads.
+
+    Args:
+        problem: that was solved.
+        solutions: B of them, by any solver.
+        by_states: slopes of the functions by the states (B, T+1, n_s).
+        by_actions: the same by the actions (B, T, n_u).
+        policy: what to do with a gradient that is not certified: "raise" CertificateError, or "flag" it in its
+            certificate.
+        threads: how many; None: as many as there are processors.
+
+    Returns:
+        B gradients by psi, s_0 and the context, each with a certificate of its own.
+
+    Raises:
+        CertificateError: under the policy "raise", when one is not certified.
+        ProblemError: arrays of other shapes, or of different B.
+    """
+    states, actions = np.asarray(by_states, float), np.asarray(by_actions, float)
+    if not len(solutions) == len(states) == len(actions):
+        given = {"solutions": len(solutions), "by_states": len(states), "by_actions": len(actions)}
+        raise ProblemError(f"pull_many needs as many of everything, got {given}.")
+
+    def pull(solution: Solution, state_slopes: Array, action_slopes: Array) -> Gradients:
+        return sensitivity(problem, solution, policy).pull(state_slopes, action_slopes)
+
+    return side_by_side(pull, solutions, states, actions, threads=threads)
+
+
+def side_by_side(function: Callable[..., R], *columns: Iterable[Any], threads: int | None = None) -> list[R]:
+    """The results of a function, in the order of its arguments. Raises ProblemError for less than one thread."""
+    if threads is not None and threads < 1:
+        raise ProblemError(f"threads must be at least 1, got {threads}.")
+    if threads == 1:
+        return list(map(function, *columns))
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
-        return list(pool.map(solver.solve, [problem] * count, *columns, guesses or [None] * count))
+        return list(pool.map(function, *columns))
 
 
 def _rows(name: str, value: ArrayLike, length: int) -> Array:
