@@ -7,7 +7,7 @@
 #include <string.h>
 
 enum { MOST = KPIRL_MPC_PRODUCTS, SWEEPS = 8, STARTS = 4 };
-static const real DIGITS = (real)0.03; /* relative distance from some eigenvalue at which to stop */
+static const real DIGITS = (real)0.1;  /* relative distance from some eigenvalue at which to stop */
 
 static real length_of(const real *v, int n) { return kpirl_mpc_root(kpirl_mpc_dot(v, v, n)); }
 

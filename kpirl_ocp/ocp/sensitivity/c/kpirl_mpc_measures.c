@@ -10,23 +10,28 @@ static const real LEAST_FORCE = (real)1e-3; /* share of the largest one, in unit
 static const real NOTHING = (real)1e-9;     /* an entry of x that is smaller everywhere has no size of its own */
 static const real LEAST = (real)1e-12;      /* share of the largest curvature, in units of the cost, below which one is none */
 
+/* |M| (n, n) of a symmetric matrix by the lower triangle of its first n of `rows` rows. */
+static void absolute_symmetric(const real *M, int rows, int n, real *absolute) {
+  int i, j;
+  for (j = 0; j < n; ++j)
+    for (i = j; i < n; ++i) absolute[i + j * n] = kpirl_mpc_abs(M[i + j * rows]);
+  kpirl_mpc_mirror(absolute, n);
+}
+
 void kpirl_mpc_system_curvature(const kpirl_mpc_system *s, real *curvature) {
   const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
-  int t, i, j, k;
+  real *next = s->scratch, *F = next + n_s * n_s, *product = F + n_s * n_x;
+  int t, i;
   for (t = 0; t <= T; ++t) {
     const int n = t < T ? n_x : n_s, after = t + 1 < T ? n_x : n_s;
-    const real *H = s->H + (size_t)t * n_x * n_x, *F = s->F + (size_t)t * n_s * n_x, *next = H + n_x * n_x;
-    for (i = 0; i < n; ++i) {
-      real sum = kpirl_mpc_abs(H[i + i * n]);
-      for (j = 0; t < T && j < n_s; ++j) {
-        real row = 0;
-        if (F[j + i * n_s] == 0) continue;
-        for (k = 0; k < n_s; ++k)
-          row += kpirl_mpc_abs(j > k ? next[j + k * after] : next[k + j * after]) * kpirl_mpc_abs(F[k + i * n_s]);
-        sum += kpirl_mpc_abs(F[j + i * n_s]) * row;
-      }
-      curvature[t * n_x + i] = sum;
-    }
+    const real *H = s->H + (size_t)t * n_x * n_x;
+    for (i = 0; i < n; ++i) curvature[t * n_x + i] = kpirl_mpc_abs(H[i + i * n]);
+    if (t == T) break;
+    absolute_symmetric(H + n_x * n_x, after, n_s, next);
+    for (i = 0; i < n_s * n_x; ++i) F[i] = kpirl_mpc_abs(s->F[(size_t)t * n_s * n_x + i]);
+    memset(product, 0, (size_t)(n_s * n_x) * sizeof(real));
+    kpirl_mpc_times(next, n_s, n_s, F, n_x, product);
+    for (i = 0; i < n_x; ++i) curvature[t * n_x + i] += kpirl_mpc_dot(F + i * n_s, product + i * n_s, n_s);
   }
 }
 

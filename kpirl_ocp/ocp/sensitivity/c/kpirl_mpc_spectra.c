@@ -109,12 +109,12 @@ static void reduced_hessian(const void *self, const real *v, real *product) {
 
 /* x of the factorised system for (r, 0, 0); r is overwritten. */
 static const real *inverse_times(const kpirl_mpc_system *s, real *r, real *x) {
-  const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states;
-  real *zeros = x + n_w, *costates = zeros + n_c + s->n_states;
+  const int n_w = kpirl_mpc_system_n_point(s);
+  real *start = x + n_w;
   int i;
   for (i = 0; i < n_w; ++i) r[i] = -r[i];
-  memset(zeros, 0, (size_t)(n_c + s->n_states) * sizeof(real));
-  kpirl_mpc_system_substitute(s, r, zeros, zeros + n_c, x, costates);
+  memset(start, 0, (size_t)s->n_states * sizeof(real));
+  kpirl_mpc_system_substitute(s, r, NULL, start, x, NULL);
   return x;
 }
 

@@ -101,6 +101,7 @@ void kpirl_mpc_balance_and_rows(const kpirl_mpc_system *system, const kpirl_mpc_
 real kpirl_mpc_decision_norm(const kpirl_mpc_system *system, const real *x);
 /* Factors of H + C' weights C, of an effort |decisions by their roots|^2 instead of H where that is NULL. */
 void kpirl_mpc_factor_weighted(kpirl_mpc_system *system, const real *H, const real *weights);
+/* As kpirl_mpc_substitute. */
 void kpirl_mpc_system_substitute(const kpirl_mpc_system *system, const real *q, const real *d, const real *start, real *x,
                                  real *costates);
 

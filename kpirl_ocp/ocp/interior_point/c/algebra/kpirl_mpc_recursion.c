@@ -111,7 +111,7 @@ void kpirl_mpc_substitute(int horizon, int n_s, int n_u, int n_free, const int *
     const real *F_t = F + (size_t)t * n_s * n_x, *Y = factors->Y + (size_t)t * n_u * n_s, *pivots = factors->pivots + t * n_u;
     real *v_t = v + t * n_u, *p_t = p + t * n_s;
     memcpy(work, p_t + n_s, (size_t)n_s * sizeof(real));
-    kpirl_mpc_times_vector(factors->P + (t + 1) * square, n_s, n_s, d + t * n_s, work);
+    if (d) kpirl_mpc_times_vector(factors->P + (t + 1) * square, n_s, n_s, d + t * n_s, work);
     memcpy(m, q + t * n_x, (size_t)n_x * sizeof(real));
     kpirl_mpc_transposed_times_vector(F_t, n_s, n_x, work, m);
     memcpy(p_t, m, (size_t)n_s * sizeof(real));
@@ -130,8 +130,12 @@ void kpirl_mpc_substitute(int horizon, int n_s, int n_u, int n_free, const int *
       kpirl_mpc_times_vector(Y, n_u, n_s, x_t, v_t);
       apply_root(factors->W + (size_t)t * n_u * n_u, factors->pivots + t * n_u, n_u, v_t, work, x_t + n_s);
     }
-    memcpy(next, d + t * n_s, (size_t)n_s * sizeof(real));
+    if (d)
+      memcpy(next, d + t * n_s, (size_t)n_s * sizeof(real));
+    else
+      memset(next, 0, (size_t)n_s * sizeof(real));
     kpirl_mpc_times_vector(F_t, n_s, n_x, x_t, next);
+    if (!costates) continue;
     memcpy(costates + t * n_s, p + (t + 1) * n_s, (size_t)n_s * sizeof(real));
     kpirl_mpc_times_vector(factors->P + (t + 1) * square, n_s, n_s, next, costates + t * n_s);
   }

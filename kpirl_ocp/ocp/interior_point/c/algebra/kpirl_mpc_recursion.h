@@ -44,7 +44,7 @@ void kpirl_mpc_inverse_root(real *A, int n, real *W, real *pivots);
 void kpirl_mpc_factor_start(int n_s, int n_free, const int *free, const real *P_0, real *scratch, kpirl_mpc_factors *factors);
 
 /* Solve for q (T n_x + n_s), d (T n_s) and the given entries of x_0 (n_s): x (T n_x + n_s) and costates (T n_s).
- * scratch: kpirl_mpc_substitute_scratch numbers. */
+ * d NULL: zeros. costates NULL: they are not wanted. scratch: kpirl_mpc_substitute_scratch numbers. */
 void kpirl_mpc_substitute(int horizon, int n_s, int n_u, int n_free, const int *free, const real *F,
                           const kpirl_mpc_factors *factors, const real *q, const real *d, const real *start, real *scratch,
                           real *x, real *costates);
