@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import OCP, Riccati, Status
+from kpirl_ocp import OCP, Riccati, Status, Trajectory
 
 
 def integrator(horizon, n=1, step=0.1, **fields):
@@ -37,9 +37,9 @@ def test_indefinite_hessian_at_a_stationary_point_does_not_hold_the_method_up():
     np.testing.assert_allclose(np.abs(found.actions), 1, rtol=0, atol=1e-8)
 
 
-def test_swing_up_from_exact_rest_leaves_the_saddle():
+def swing_up():
     s, u = ca.SX.sym("s", 2), ca.SX.sym("u")
-    problem = OCP.from_expressions(
+    return OCP.from_expressions(
         state=s,
         action=u,
         horizon=40,
@@ -48,9 +48,23 @@ def test_swing_up_from_exact_rest_leaves_the_saddle():
         stage_cost=1 + ca.cos(s[0]) + 1e-3 * u**2,
         terminal_cost=100 * (1 + ca.cos(s[0])) + s[1] ** 2,
     )
-    found = Riccati().solve(problem, [0.0, 0.0])
+
+
+def test_swing_up_from_exact_rest_leaves_the_saddle_while_tau_leaves_room_to_turn():
+    found = Riccati(1e-8).solve(swing_up(), [0.0, 0.0])
     assert found.status is Status.CONVERGED
+    assert found.iterations <= 30
     assert np.cos(found.states[-1, 0]) < -0.99
+
+
+@pytest.mark.parametrize("scale", [3.0, 5e3])
+def test_regularisation_is_twice_the_least_that_suffices(scale, capsys):
+    """u^4 - u^2 / 2 has the curvature 0.12 - 1 at 0.1; the least weight is found to within a factor of 1.5."""
+    problem = integrator(1, step=0.0, cost=lambda s, u: scale * (u**4 - u**2 / 2))
+    guess = Trajectory([[0.0], [1e4]], [[0.1]])  # far from the dynamics, so that this is no saddle to be left
+    Riccati(verbose=True).solve(problem, [0.0], guess=guess)
+    columns = capsys.readouterr().err.splitlines()[1].split()
+    assert 2 * 0.88 * scale / 1.13 <= 10 ** float(columns[7]) <= 3 * 0.88 * scale * 1.13  # the log has one decimal
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -170,3 +184,17 @@ def test_running_cost_as_a_state_costs_no_more_iterations_than_as_stage_costs():
     assert first.status is second.status is Status.CONVERGED
     assert first.objective == pytest.approx(second.objective, rel=1e-9)
     assert first.iterations <= second.iterations + 3
+
+
+def test_a_start_that_follows_the_dynamics_is_not_taken_for_the_floor_of_rounding():
+    """With a small cost its residuals are those of an end already; lifted steps let feasibility get worse first."""
+    s, u = ca.SX.sym("s", 2), ca.SX.sym("u")
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=20,
+        action_bounds=(-2, 2),
+        dynamics=s + 0.1 * ca.vertcat(s[1], u - ca.sin(s[0])),
+        stage_cost=1e-6 * (ca.sumsqr(s) + 0.01 * u**2),
+    )
+    assert Riccati(1e-12).solve(problem, [1.0, 1.0]).status is Status.CONVERGED

@@ -30,8 +30,8 @@ def audit(
     """Measure the first-order conditions at a point; NaN in any function gives NaN residuals."""
     program, bounds = transcribe(problem), BoundRows.of(*limits(problem))
     w, lam, mu = pack(trajectory), equality_multipliers(multipliers), inequality_multipliers(multipliers)
-    _, g_E, g_I = (np.array(value).ravel() for value in program.values(w, psi, context))
-    cost_gradient, gradient = (np.array(value).ravel() for value in program.first(w, psi, context, lam, mu))
+    _, g_E, g_I = (value.full().ravel() for value in program.values(w, psi, context))
+    cost_gradient, gradient = (value.full().ravel() for value in program.first(w, psi, context, lam, mu))
     rows, decided = Inequalities.at(bounds, w, g_I), ~given(problem)
     forces, unequal = rows.forces(bound_multipliers(multipliers), mu, barrier), ~rows.equal
     push = bounds.net_force(forces[: len(bounds.entries)], len(w))

@@ -246,7 +246,7 @@ class OCP(Arrays):
             context = np.zeros(self.n_context)
         numbers = self.inputs(s0, psi, () if context is None else context)
         states = self.rollout(numbers[0], actions.T, *numbers[1:])
-        return Trajectory(np.array(states).T, actions)
+        return Trajectory(states.full().T, actions)
 
     def _check_signatures(self, n_schedule: int) -> None:
         """Raise ProblemError when a function does not fit the others; dynamics of three inputs become ones of five."""

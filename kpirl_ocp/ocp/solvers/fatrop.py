@@ -104,8 +104,8 @@ class Fatrop:
         result: dict[str, ca.DM],
         program: _Program,
     ) -> Solution:
-        trajectory = trajectory_of(problem, pack(_by_kind(problem, np.array(result["x"]).ravel())), s0)
-        multipliers = program.multipliers(problem, *(np.array(result[name]).ravel() for name in ("lam_x", "lam_g")))
+        trajectory = trajectory_of(problem, pack(_by_kind(problem, result["x"].full().ravel())), s0)
+        multipliers = program.multipliers(problem, *(result[name].full().ravel() for name in ("lam_x", "lam_g")))
         residuals = audit(problem, psi, context, trajectory, multipliers)
         stats = program.solver.stats()
         word, iterations = (
@@ -164,7 +164,7 @@ def _finite(problem: OCP, w: Array, psi: Array, context: Array) -> bool:
     program = transcribe(problem)
     ones = [np.ones(n) for n in lengths(problem)[1:]]
     values = [*program.values(w, psi, context), *program.first(w, psi, context, *ones)]
-    return all(np.isfinite(np.array(value)).all() for value in values)
+    return all(np.isfinite(value.full()).all() for value in values)
 
 
 def _in_stages(states: ArrayLike, actions: ArrayLike) -> Array:

@@ -51,7 +51,7 @@ class GradientDescent:
         """Take the steps; see `Solver.solve`. ProblemError for state bounds or path constraints."""
         start, psi, context = problem.inputs(s0, psi, context)
         check_constraints(problem, self.project)
-        output = np.array(_descent(problem, self)(guess_actions(problem, guess).T, start, psi, context)).ravel()
+        output = _descent(problem, self)(guess_actions(problem, guess).T, start, psi, context).full().ravel()
         return audited(problem, self, psi, context, float(output[0]), output[1:])
 
 

@@ -87,7 +87,7 @@ class Ipopt:
     def _solution(
         self, problem: OCP, s0: Array, psi: Array, context: Array, result: dict[str, ca.DM], stats: dict[str, object]
     ) -> Solution:
-        w, nu, lam = (np.array(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
+        w, nu, lam = (result[name].full().ravel() for name in ("x", "lam_x", "lam_g"))
         trajectory = trajectory_of(problem, w, s0)
         multipliers = unpack_multipliers(problem, nu, *np.split(lam, [transcribe(problem).n_equalities]))
         residuals, word = (

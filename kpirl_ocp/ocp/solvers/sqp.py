@@ -78,7 +78,7 @@ class SQP:
         result: dict[str, ca.DM],
         solver: ca.Function,
     ) -> Solution:
-        w, nu, lam = (np.array(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
+        w, nu, lam = (result[name].full().ravel() for name in ("x", "lam_x", "lam_g"))
         trajectory = trajectory_of(problem, w, s0)
         multipliers = unpack_multipliers(problem, nu, *np.split(lam, [transcribe(problem).n_equalities]))
         residuals = audit(problem, psi, context, trajectory, multipliers)

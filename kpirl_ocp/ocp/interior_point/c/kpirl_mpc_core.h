@@ -111,11 +111,11 @@ typedef struct kpirl_mpc_core {
   real *nonzeros;       /* of a function's result */
   real *states, *actions; /* gathered for functions of the whole horizon */
   real penalty; /* rho of elastic mode, see kpirl_mpc_elastic.c; 0 otherwise */
-  real tau, indefinite_tau; /* the latter: tau to go back to where the Hessian is not positive */
+  real tau, indefinite_tau, escaped_tau; /* tau to go back to where the Hessian is not positive; at which a saddle was left */
   real start_tau, most_violation, most_gradient; /* tau at the beginning; the largest violation and gradient since */
-  real tolerance, regularisation, best; /* best: the smallest residual so far */
+  real tolerance, regularisation, best[3]; /* best: the smallest residuals so far */
   double started;
-  int iterations, trials, idle; /* idle: iterations since `best` was halved */
+  int iterations, trials, idle; /* idle: iterations since one of `best` was halved */
   int lifted;                  /* are steps lifted, or along the dynamics? */
   int held;                    /* was tau held where the Hessian was not positive? */
   int no_costates;             /* are they zero because nothing is known about them? */
@@ -225,6 +225,12 @@ int kpirl_mpc_subproblem_solved(const kpirl_mpc_core *core); /* for core->tau, a
 /* The factors of the condensed Hessian; returns whether it is positive along the dynamics. */
 int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation);
 void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation);
+/* The step for these factors and core->target, what y z is to become; then its lengths, with the fraction to the boundary. */
+void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change);
+real kpirl_mpc_longest(const real *value, const real *change, int count, real share);
+void kpirl_mpc_limit_lengths(kpirl_mpc_core *core, real regularisation);
+
+/* corrector: `least` is the tau to stop at, `most` the one from before */
 void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least, real most);
 
 /* trial */
@@ -233,14 +239,23 @@ real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length);
 void kpirl_mpc_centre(kpirl_mpc_core *core);
 real kpirl_mpc_hard_log_sum(const kpirl_mpc_core *core, const real *y);
 
-/* curvature: the step becomes such a direction; returns whether there is one */
-int kpirl_mpc_negative_curvature(kpirl_mpc_core *core);
+/* termination: the tau to stop at; the largest residual; do the conditions hold, or as far as rounding lets them; is there no
+ * progress any more? */
+real kpirl_mpc_final_tau(const kpirl_mpc_core *core);
+real kpirl_mpc_worst(const kpirl_mpc_residuals *r);
+int kpirl_mpc_solved(const kpirl_mpc_core *core);
+int kpirl_mpc_acceptable(const kpirl_mpc_core *core);
+int kpirl_mpc_idle(kpirl_mpc_core *core);
 
-/* line search: `least` is the tau to stop at. Each returns whether it moved, or found a step. */
+/* curvature */
+int kpirl_mpc_escape(kpirl_mpc_core *core);
+
+/* regularisation: returns whether there is a step */
 int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation);
+
+/* line search: `least` is the tau to stop at. Each returns whether it moved. */
 int kpirl_mpc_newton_iterate(kpirl_mpc_core *core);
 int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least);
-int kpirl_mpc_escape(kpirl_mpc_core *core);
 /* Go to the trial point; `level` says how much to find out about it. */
 void kpirl_mpc_arrive(kpirl_mpc_core *core, int level);
 

@@ -1,15 +1,18 @@
 /* SPDX-License-Identifier: MIT
  *
- * Directions of negative curvature.
+ * Directions of negative curvature, and along them off a point that is no minimum.
  */
 #include "kpirl_mpc_core.h"
 
 #include <string.h>
 
+static const real FLAT = (real)1e-8;      /* curvature, relative to the largest, that counts as none */
+static const real SHORTEST = (real)1e-10; /* step length below which there is no way down */
+
 /* A direction along which the Hessian of the last factors is negative, from the most negative pivot: the step becomes
  *     u_t = W' e_j,  s = 0 before,  u = K s after it,    with curvature -1.
  * Returns whether there is one. */
-int kpirl_mpc_negative_curvature(kpirl_mpc_core *core) {
+static int find_negative_curvature(kpirl_mpc_core *core) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_x = n_s + n_u;
   const int m = kpirl_mpc_n_inequalities(core);
   const kpirl_mpc_factors *factors = &core->factors;
@@ -40,4 +43,39 @@ int kpirl_mpc_negative_curvature(kpirl_mpc_core *core) {
   kpirl_mpc_path_times(core, core->d.G, DIM(core, n_path), DIM(core, n_terminal), change->x, change->y + kpirl_mpc_n_bounds(core));
   for (i = kpirl_mpc_n_bounds(core); i < m; ++i) change->y[i] = -change->y[i];
   return kpirl_mpc_all_finite(change->x, kpirl_mpc_n_point(core));
+}
+
+/* Move off a stationary point along negative curvature, to where the barrier function is lower. */
+static int move_off(kpirl_mpc_core *core, real sign) {
+  const int n_w = kpirl_mpc_n_point(core), m = kpirl_mpc_n_inequalities(core);
+  kpirl_mpc_step *step = &core->step;
+  kpirl_mpc_merit trial;
+  const real phi = core->d.objective - core->tau * kpirl_mpc_log_sum(core->at.y, m);
+  real length;
+  int i;
+  for (i = 0; i < n_w; ++i) step->change.x[i] *= sign;
+  for (i = 0; i < m; ++i) step->change.y[i] *= sign;
+  step->tau = core->tau;
+  step->share = KPIRL_MPC_BOUNDARY;
+  step->dual_length = 0;
+  for (length = 1; length >= SHORTEST; length /= 2) {
+    ++core->trials;
+    kpirl_mpc_try(core, length, 0, &trial);
+    if (trial.theta <= core->filter.small && trial.phi < phi - (real)0.1 * length * length) {
+      step->primal_length = length;
+      kpirl_mpc_arrive(core, KPIRL_MPC_SECOND);
+      return 1;
+    }
+  }
+  return 0;
+}
+
+/* At a point that meets the first-order conditions: 0 where it is a minimum, a flat one too, 1 where it is none and was left, -1 where it is
+ * none and no way led down from it. */
+int kpirl_mpc_escape(kpirl_mpc_core *core) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), n_H = T * n_x * n_x + n_s * n_s;
+  core->trials = 0;
+  if (kpirl_mpc_factorise(core, 0) || kpirl_mpc_factorise(core, FLAT * kpirl_mpc_largest(core->d.H, n_H))) return 0;
+  if (!find_negative_curvature(core)) return -1;
+  return move_off(core, 1) || move_off(core, -1) ? 1 : -1;
 }

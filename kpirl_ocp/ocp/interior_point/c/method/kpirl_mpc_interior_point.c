@@ -10,49 +10,8 @@
 
 static const real START = (real)0.1;       /* tau of a cold start, see start_tau */
 static const real WARM = (real)1e-3;      /* largest tau of a warm start */
-static const real ROUNDING = 500 * KPIRL_MPC_EPSILON; /* of slack * multiplier, relative to `largest_product` */
 static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
 static const int RESTORATIONS = 5;        /* in one solve, twice */
-static const int IDLE = 5;                /* iterations without a smaller residual after which rounding is the floor */
-
-/* The largest multiplier times what its slack is a difference of: an entry of x and a bound; of h, taken as 1. */
-static real largest_product(const kpirl_mpc_core *core) {
-  const int m = kpirl_mpc_n_inequalities(core), low = core->n_lower, bounds = kpirl_mpc_n_bounds(core);
-  real most = kpirl_mpc_largest(core->at.z + bounds, m - bounds);
-  int i;
-  for (i = 0; i < bounds; ++i) {
-    const real x = core->at.x[i < low ? core->lower[i] : core->upper[i - low]];
-    most = kpirl_mpc_larger(kpirl_mpc_abs(x) * core->at.z[i], most);
-  }
-  return most;
-}
-
-/* What complementarity may be off: a fifth of the tolerance in units of the cost, unless rounding leaves more. The sum of all
- * y z is the duality gap of a convex problem. */
-static real close_enough(const kpirl_mpc_core *core) {
-  return kpirl_mpc_larger((real)core->options.tolerance / 5, ROUNDING * largest_product(core));
-}
-
-/* The tau to stop at. */
-static real final_tau(const kpirl_mpc_core *core) {
-  return core->options.barrier > 0 ? (real)core->options.barrier : close_enough(core) / 2;
-}
-
-static real worst(const kpirl_mpc_residuals *r) {
-  real parts[3];
-  parts[0] = r->stationarity / r->scale;
-  parts[1] = r->complementarity / r->scale;
-  parts[2] = r->feasibility;
-  return kpirl_mpc_largest(parts, 3);
-}
-
-/* Do the conditions hold? Complementarity relative to the scale alone would leave the weakest of the active constraints too far
- * from its bound. */
-static int solved(const kpirl_mpc_core *core) {
-  kpirl_mpc_residuals residuals;
-  kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
-  return worst(&residuals) <= core->tolerance && residuals.complementarity <= close_enough(core);
-}
 
 static int finite(const kpirl_mpc_core *core) {
   const kpirl_mpc_derivatives *d = &core->d;
@@ -101,31 +60,10 @@ void kpirl_mpc_log_iteration(const kpirl_mpc_core *core) {
   core->options.log(core->options.log_to, &line);
 }
 
-/* Do the conditions hold as far as rounding lets them? */
-static int acceptable(const kpirl_mpc_core *core) {
-  kpirl_mpc_residuals residuals;
-  kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
-  return worst(&residuals) <= kpirl_mpc_root(core->tolerance) / 10;
-}
-
 static kpirl_mpc_status why_stuck(kpirl_mpc_core *core) {
   if (!matrices_finite(core)) return KPIRL_MPC_NOT_FINITE;
-  if (acceptable(core)) return KPIRL_MPC_ACCEPTABLE;
+  if (kpirl_mpc_acceptable(core)) return KPIRL_MPC_ACCEPTABLE;
   return KPIRL_MPC_STALLED;
-}
-
-/* Has the residual stayed as it is for some iterations? */
-static int idle(kpirl_mpc_core *core) {
-  kpirl_mpc_residuals residuals;
-  real residual;
-  kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
-  residual = worst(&residuals);
-  ++core->idle;
-  if (residual < core->best / 2) {
-    core->best = residual;
-    core->idle = 0;
-  }
-  return core->idle >= IDLE;
 }
 
 /* Where the barrier weighs as a share of the objective: its gradient times the harmonic mean of the slacks, in any units. */
@@ -145,10 +83,11 @@ static void begin_here(kpirl_mpc_core *core, real tau) {
   core->tau = core->start_tau = core->indefinite_tau = tau;
   core->most_violation = core->most_gradient = 0;
   core->held = 0;
+  core->escaped_tau = (real)INFINITY;
   for (i = 0; i < m; ++i) core->at.z[i] = kpirl_mpc_larger(core->at.z[i], tau / core->at.y[i]);
   core->regularisation = 0;
   core->step.positive = 0; /* there was no step yet */
-  core->best = (real)INFINITY;
+  for (i = 0; i < 3; ++i) core->best[i] = (real)INFINITY;
   core->idle = 0;
   kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
   kpirl_mpc_start_filter(core);
@@ -160,7 +99,7 @@ static int to_be_examined(const kpirl_mpc_core *core) { return !core->step.posit
 static kpirl_mpc_status converge(kpirl_mpc_core *core) {
   for (;; ++core->iterations) {
     if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
-    if (solved(core)) {
+    if (kpirl_mpc_solved(core)) {
       const int left = to_be_examined(core) ? kpirl_mpc_escape(core) : 0;
       if (left <= 0) return left ? KPIRL_MPC_NOT_A_MINIMUM : KPIRL_MPC_CONVERGED;
       begin_here(core, core->options.barrier > 0 ? core->tau : kpirl_mpc_larger(core->tau, kpirl_mpc_start_tau(core)));
@@ -169,8 +108,8 @@ static kpirl_mpc_status converge(kpirl_mpc_core *core) {
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
     if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
     if (kpirl_mpc_largest(core->at.x, kpirl_mpc_n_point(core)) > FAR) return KPIRL_MPC_DIVERGED;
-    if (idle(core) && acceptable(core)) return KPIRL_MPC_ACCEPTABLE;
-    if (!kpirl_mpc_iterate_once(core, final_tau(core))) return why_stuck(core);
+    if (kpirl_mpc_idle(core) && kpirl_mpc_acceptable(core)) return KPIRL_MPC_ACCEPTABLE;
+    if (!kpirl_mpc_iterate_once(core, kpirl_mpc_final_tau(core))) return why_stuck(core);
     kpirl_mpc_log_iteration(core);
   }
 }
@@ -198,7 +137,7 @@ static kpirl_mpc_status advance(kpirl_mpc_core *core) {
     kpirl_mpc_log_iteration(core);
   }
   if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
-  return solved(core) ? KPIRL_MPC_CONVERGED : KPIRL_MPC_STEPS_TAKEN;
+  return kpirl_mpc_solved(core) ? KPIRL_MPC_CONVERGED : KPIRL_MPC_STEPS_TAKEN;
 }
 
 /* As small as the guess is good, so that a solution stays one; at most WARM, so that a guess counts. */
@@ -209,7 +148,7 @@ static real warm_barrier(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   kpirl_mpc_warm_start(core, start, final);
   kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
   kpirl_mpc_find_residuals(core, 0, &residuals);
-  error = worst(&residuals);
+  error = kpirl_mpc_worst(&residuals);
   return isfinite(error) ? kpirl_mpc_smaller(kpirl_mpc_larger(error, final), WARM) : WARM;
 }
 
@@ -252,10 +191,27 @@ static kpirl_mpc_status converge_restoring(kpirl_mpc_core *core) {
   return status;
 }
 
-/* With lifted steps; where they get stuck, with steps along the dynamics. A warm start that gets stuck begins again first,
- * cold, from its trajectory. */
+static int given_up(const kpirl_mpc_core *core, kpirl_mpc_status status) {
+  return stuck(status) && status != KPIRL_MPC_INFEASIBLE && core->iterations > 0;
+}
+
+/* Replace states of the guess by those that its actions lead to; 0 where that changes nothing or they are not finite. */
+static int roll_guess_out(kpirl_mpc_core *core, const kpirl_mpc_start *guess, kpirl_mpc_start *rolled) {
+  const size_t size = (size_t)kpirl_mpc_n_point(core) * sizeof(real);
+  real *x = core->trial.x;
+  *rolled = *guess;
+  rolled->x = x;
+  if (!guess->x) return 0;
+  memcpy(x, guess->x, size);
+  kpirl_mpc_roll_out(core, x);
+  return kpirl_mpc_all_finite(x, kpirl_mpc_n_point(core)) && memcmp(x, guess->x, size) != 0;
+}
+
+/* With lifted steps; where they get stuck, with steps along the dynamics, from the guess and then from where its actions lead.
+ * A warm start that gets stuck begins again first, cold, from its trajectory. */
 static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   int warm = start->costates != NULL;
+  kpirl_mpc_start rolled;
   kpirl_mpc_status status;
   core->lifted = 1;
   begin(core, start, warm);
@@ -266,9 +222,12 @@ static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start)
     begin(core, start, 0);
   }
   status = converge_restoring(core);
-  if (!stuck(status) || status == KPIRL_MPC_INFEASIBLE || core->iterations == 0) return status;
+  if (!given_up(core, status)) return status;
   core->lifted = 0;
   begin(core, start, 0);
+  status = converge_restoring(core);
+  if (!given_up(core, status) || !roll_guess_out(core, start, &rolled)) return status;
+  begin(core, &rolled, 0);
   return converge_restoring(core);
 }
 

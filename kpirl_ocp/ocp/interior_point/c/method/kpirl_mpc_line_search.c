@@ -8,30 +8,11 @@
 
 static const real SHORTEST = (real)1e-10; /* step length below which a line search gives up */
 static const real TINY = (real)1e-12;     /* relative step below which rounding decides, so that it is taken as it is */
-static const real STRONGEST = (real)1e10; /* regularisation, relative to the scale of the problem, that leads nowhere */
-static const real FLAT = (real)1e-8;      /* curvature, relative to the largest, that counts as none */
 static const real USEFUL = (real)0.01;     /* fraction of a corrected step below which plain Newton steps do better */
 static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
 static const real SMALL = (real)1e-3;      /* violation that counts as little */
 static const real KEPT = (real)1e-4;       /* share of its start above which tau stays until violation and gradient fall */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
-
-/* The Newton step, with as much regularisation as the pivots ask for; 0 if none is enough. */
-int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation) {
-  real rho = regularisation;
-  while (rho < STRONGEST * core->d.scale) {
-    kpirl_mpc_newton_step(core, rho);
-    if (core->step.positive) {
-      if (rho > 0) core->regularisation = rho;
-      return 1;
-    }
-    if (rho > 0)
-      rho *= core->regularisation > 0 ? 8 : 100;
-    else
-      rho = core->regularisation > 0 ? kpirl_mpc_larger(core->regularisation / 3, (real)1e-12) : (real)1e-4;
-  }
-  return 0;
-}
 
 /* Derivative of J - tau sum log y along the step. */
 static real slope_of(const kpirl_mpc_core *core) {
@@ -90,19 +71,27 @@ static int move_along(kpirl_mpc_core *core, real least) {
   return 0;
 }
 
-/* tau for Newton steps where the Hessian is not positive: back to where it was when that began, or would start here, lowered
- * only as the barrier problems are solved (Waechter and Biegler, 2006, section 2.1). A tau that a predictor chose on the way
- * leaves no room to turn. */
-static void hold_tau(kpirl_mpc_core *core, real least) {
+/* tau for Newton steps where the Hessian is not positive: back to where it was when that began, or would start here. A tau that
+ * a predictor chose on the way leaves no room to turn. */
+static void hold_tau(kpirl_mpc_core *core) {
   const real before = core->tau;
   if (!core->held) core->indefinite_tau = kpirl_mpc_larger(kpirl_mpc_start_tau(core), core->indefinite_tau);
   core->held = 1;
   core->tau = kpirl_mpc_larger(core->tau, core->indefinite_tau);
-  if (kpirl_mpc_subproblem_solved(core)) {
-    const real lower = kpirl_mpc_smaller((real)0.2 * core->tau, kpirl_mpc_power(core->tau, (real)1.5));
-    core->indefinite_tau = core->tau = kpirl_mpc_larger(least, lower);
-  }
   if (core->tau != before) kpirl_mpc_start_filter(core);
+}
+
+/* Where the barrier problem is solved though its Hessian is not positive: off this point, once for each tau; else to the next
+ * tau (Waechter and Biegler, 2006, section 2.1). Returns whether it moved. */
+static int leave_saddle(kpirl_mpc_core *core, real least) {
+  const real tau = core->tau, lower = kpirl_mpc_smaller((real)0.2 * tau, kpirl_mpc_power(tau, (real)1.5));
+  if (tau < core->escaped_tau && kpirl_mpc_escape(core) > 0) {
+    core->escaped_tau = tau;
+    return 1;
+  }
+  core->indefinite_tau = core->tau = kpirl_mpc_larger(least, lower);
+  if (core->tau != tau) kpirl_mpc_start_filter(core);
+  return 0;
 }
 
 /* The smallest tau for now: a share of its start, in proportion to what is left of violation and gradient of the Lagrangian. Else
@@ -152,42 +141,8 @@ int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least) {
     }
     if (move_along(core, USEFUL)) return 1;
   } else {
-    hold_tau(core, least);
+    hold_tau(core);
+    if (kpirl_mpc_subproblem_solved(core) && leave_saddle(core, least)) return 1;
   }
   return kpirl_mpc_newton_iterate(core);
-}
-
-/* Move off a stationary point along negative curvature, to where the barrier function is lower. */
-static int move_off(kpirl_mpc_core *core, real sign) {
-  const int n_w = kpirl_mpc_n_point(core), m = kpirl_mpc_n_inequalities(core);
-  kpirl_mpc_step *step = &core->step;
-  kpirl_mpc_merit trial;
-  const real phi = core->d.objective - core->tau * kpirl_mpc_log_sum(core->at.y, m);
-  real length;
-  int i;
-  for (i = 0; i < n_w; ++i) step->change.x[i] *= sign;
-  for (i = 0; i < m; ++i) step->change.y[i] *= sign;
-  step->tau = core->tau;
-  step->share = KPIRL_MPC_BOUNDARY;
-  step->dual_length = 0;
-  for (length = 1; length >= SHORTEST; length /= 2) {
-    ++core->trials;
-    kpirl_mpc_try(core, length, 0, &trial);
-    if (trial.theta <= core->filter.small && trial.phi < phi - (real)0.1 * length * length) {
-      step->primal_length = length;
-      kpirl_mpc_arrive(core, KPIRL_MPC_SECOND);
-      return 1;
-    }
-  }
-  return 0;
-}
-
-/* At a point that meets the first-order conditions: 0 where it is a minimum, a flat one too, 1 where it is none and was left, -1 where it is
- * none and no way led down from it. */
-int kpirl_mpc_escape(kpirl_mpc_core *core) {
-  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), n_H = T * n_x * n_x + n_s * n_s;
-  core->trials = 0;
-  if (kpirl_mpc_factorise(core, 0) || kpirl_mpc_factorise(core, FLAT * kpirl_mpc_largest(core->d.H, n_H))) return 0;
-  if (!kpirl_mpc_negative_curvature(core)) return -1;
-  return move_off(core, 1) || move_off(core, -1) ? 1 : -1;
 }

@@ -15,7 +15,6 @@
 
 #include <string.h>
 
-static const real CORRECTED = (real)0.5;  /* length of the first step from which the second order is believed */
 static const real ROUNDING = 1000 * KPIRL_MPC_EPSILON; /* the smallest share of a slack or multiplier that a step leaves */
 
 /* ---- the linear-quadratic problem --------------------------------------------------------------------------- */
@@ -82,7 +81,7 @@ int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
 }
 
 /* The step for these factors and core->target, what y z is to become. */
-static void solve(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
+void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_w = kpirl_mpc_n_point(core);
   const int n_h = DIM(core, n_path), n_e = DIM(core, n_equality), n_hT = DIM(core, n_terminal);
   const int n_eT = DIM(core, n_terminal_equality), m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
@@ -114,7 +113,7 @@ static void solve(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
 }
 
 /* The longest step in (0, 1] that keeps value + length * change at least (1 - share) value; value > 0. */
-static real longest(const real *value, const real *change, int count, real share) {
+real kpirl_mpc_longest(const real *value, const real *change, int count, real share) {
   real most = share;
   int i;
   for (i = 0; i < count; ++i) {
@@ -133,12 +132,12 @@ static real fraction_to_boundary(const kpirl_mpc_core *core) {
   return core->options.steps > 0 ? KPIRL_MPC_BOUNDARY : kpirl_mpc_larger(KPIRL_MPC_BOUNDARY, 1 - left);
 }
 
-static void limit_lengths(kpirl_mpc_core *core, real regularisation) {
+void kpirl_mpc_limit_lengths(kpirl_mpc_core *core, real regularisation) {
   kpirl_mpc_step *step = &core->step;
   const int m = kpirl_mpc_n_inequalities(core);
   step->share = fraction_to_boundary(core);
-  step->primal_length = longest(core->at.y, step->change.y, m, step->share);
-  step->dual_length = longest(core->at.z, step->change.z, m, step->share);
+  step->primal_length = kpirl_mpc_longest(core->at.y, step->change.y, m, step->share);
+  step->dual_length = kpirl_mpc_longest(core->at.z, step->change.z, m, step->share);
   step->regularisation = regularisation;
   step->positive = step->positive && kpirl_mpc_all_finite(step->change.x, kpirl_mpc_n_point(core));
 }
@@ -150,42 +149,7 @@ void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation) {
   core->step.positive = kpirl_mpc_factorise(core, regularisation);
   if (!core->step.positive) return;
   for (i = 0; i < m; ++i) core->target[i] = kpirl_mpc_is_elastic(core, i) ? -core->at.z[i] * core->d.g[i] : core->tau;
-  solve(core, &core->step.change);
+  kpirl_mpc_step_to_target(core, &core->step.change);
   if (core->penalty > 0) kpirl_mpc_let_go(core);
-  limit_lengths(core, regularisation);
-}
-
-/* mu = y . z / m after a step of these lengths. */
-static real complementarity_after(const kpirl_mpc_core *core, const kpirl_mpc_iterate *change, real primal, real dual) {
-  const int m = kpirl_mpc_n_inequalities(core);
-  real sum = 0;
-  int i;
-  for (i = 0; i < m; ++i) sum += (core->at.y[i] + primal * change->y[i]) * (core->at.z[i] + dual * change->z[i]);
-  return sum / m;
-}
-
-/* Mehrotra's predictor and corrector (1992): a first step towards tau = least shows how small mu can become while y and z
- * stay positive; then tau = mu (mu_first / mu)^3 within [least, most], and y dz + z dy + dy_first dz_first = tau - y z with the
- * same factors. The correction supposes that most of the first step can be taken, and is left out where it can not. */
-void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least, real most) {
-  const int m = kpirl_mpc_n_inequalities(core);
-  kpirl_mpc_iterate *first = &core->first.change;
-  int i;
-  core->step.tau = least;
-  core->step.positive = kpirl_mpc_factorise(core, 0);
-  if (!core->step.positive) return;
-  for (i = 0; i < m; ++i) core->target[i] = least;
-  if (m > 0) {
-    real primal, dual, mu, share;
-    solve(core, first);
-    primal = longest(core->at.y, first->y, m, 1);
-    dual = longest(core->at.z, first->z, m, 1);
-    mu = complementarity_after(core, first, 0, 0);
-    share = complementarity_after(core, first, primal, dual) / mu;
-    core->step.tau = kpirl_mpc_larger(least, kpirl_mpc_smaller(most, mu * share * share * share));
-    share = kpirl_mpc_smaller(primal, dual) > CORRECTED ? 1 : 0;
-    for (i = 0; i < m; ++i) core->target[i] = core->step.tau - share * first->y[i] * first->z[i];
-  }
-  solve(core, &core->step.change);
-  limit_lengths(core, 0);
+  kpirl_mpc_limit_lengths(core, regularisation);
 }

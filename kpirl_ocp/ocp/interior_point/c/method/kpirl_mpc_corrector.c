@@ -1,0 +1,104 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * Steps of several orders with the factors of one: Mehrotra's predictor and corrector (1992), and the centrality correctors of
+ * Gondzio (1996). A right-hand side costs far less than factors and derivatives.
+ */
+#include "kpirl_mpc_core.h"
+
+static const real CORRECTED = (real)0.5; /* length of the first step from which the second order is believed */
+/* Gondzio's: how many correctors; how much longer a step each aims at; the least that it has to gain; products y z between
+ * NEAR tau and FAR tau count as central. */
+static const int CORRECTORS = 2;
+static const real LONGER = (real)0.1, GAIN = (real)0.01, NEAR = (real)0.1, FAR = 10;
+
+typedef struct { real primal, dual; } lengths;
+
+static lengths to_the_boundary(const kpirl_mpc_core *core, const kpirl_mpc_iterate *change) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  lengths most;
+  most.primal = kpirl_mpc_longest(core->at.y, change->y, m, 1);
+  most.dual = kpirl_mpc_longest(core->at.z, change->z, m, 1);
+  return most;
+}
+
+/* y z of one row after a step of these lengths. */
+static real product_after(const kpirl_mpc_core *core, const kpirl_mpc_iterate *change, lengths length, int row) {
+  return (core->at.y[row] + length.primal * change->y[row]) * (core->at.z[row] + length.dual * change->z[row]);
+}
+
+/* mu = y . z / m after a step of these lengths. */
+static real complementarity_after(const kpirl_mpc_core *core, const kpirl_mpc_iterate *change, lengths length) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  real sum = 0;
+  int i;
+  for (i = 0; i < m; ++i) sum += product_after(core, change, length, i);
+  return sum / m;
+}
+
+/* A first step towards tau = least shows how small mu can become while y and z stay positive; then tau = mu (mu_first / mu)^3
+ * within [least, most], and y dz + z dy + dy_first dz_first = tau - y z with the same factors. The correction supposes that
+ * most of the first step can be taken, and is left out where the latter is not so. */
+static void predict(kpirl_mpc_core *core, real least, real most) {
+  static const lengths none = {0, 0};
+  const int m = kpirl_mpc_n_inequalities(core);
+  const kpirl_mpc_iterate *first = &core->first.change;
+  lengths length;
+  real mu, share;
+  int i, believed;
+  kpirl_mpc_step_to_target(core, &core->first.change);
+  length = to_the_boundary(core, first);
+  mu = complementarity_after(core, first, none);
+  share = complementarity_after(core, first, length) / mu;
+  core->step.tau = kpirl_mpc_larger(least, kpirl_mpc_smaller(most, mu * share * share * share));
+  believed = kpirl_mpc_smaller(length.primal, length.dual) > CORRECTED;
+  for (i = 0; i < m; ++i) core->target[i] = core->step.tau - (believed ? first->y[i] * first->z[i] : 0);
+}
+
+/* Aim at a step that is LONGER: products that it would leave off centre are to come back. */
+static void recentre(kpirl_mpc_core *core, lengths length) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  const real tau = core->step.tau;
+  int i;
+  length.primal = kpirl_mpc_smaller(1, length.primal + LONGER);
+  length.dual = kpirl_mpc_smaller(1, length.dual + LONGER);
+  for (i = 0; i < m; ++i) {
+    const real product = product_after(core, &core->step.change, length, i);
+    const real central = kpirl_mpc_larger(NEAR * tau, kpirl_mpc_smaller(product, FAR * tau));
+    core->target[i] += kpirl_mpc_larger(central - product, -FAR * tau);
+  }
+}
+
+static int gains(lengths before, lengths after) {
+  const real primal = after.primal - before.primal, dual = after.dual - before.dual;
+  return kpirl_mpc_smaller(primal, dual) >= 0 && kpirl_mpc_larger(primal, dual) >= GAIN;
+}
+
+/* Centrality correctors, for as long as one makes the step longer. */
+static void correct_centrality(kpirl_mpc_core *core) {
+  lengths before = to_the_boundary(core, &core->step.change);
+  int i;
+  for (i = 0; i < CORRECTORS && kpirl_mpc_smaller(before.primal, before.dual) < 1 - LONGER; ++i) {
+    const kpirl_mpc_iterate change = core->step.change;
+    lengths after;
+    recentre(core, before);
+    kpirl_mpc_step_to_target(core, &core->first.change);
+    after = to_the_boundary(core, &core->first.change);
+    if (!gains(before, after)) return;
+    core->step.change = core->first.change;
+    core->first.change = change;
+    before = after;
+  }
+}
+
+void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least, real most) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  int i;
+  core->step.tau = least;
+  core->step.positive = kpirl_mpc_factorise(core, 0);
+  if (!core->step.positive) return;
+  for (i = 0; i < m; ++i) core->target[i] = least;
+  if (m > 0) predict(core, least, most);
+  kpirl_mpc_step_to_target(core, &core->step.change);
+  if (m > 0) correct_centrality(core);
+  kpirl_mpc_limit_lengths(core, 0);
+}

@@ -1,0 +1,75 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * When an iterate is a solution: within the tolerance, or as far as rounding allows.
+ */
+#include "kpirl_mpc_core.h"
+
+static const real ROUNDING = 500 * KPIRL_MPC_EPSILON; /* of slack * multiplier, relative to `largest_product` */
+static const int IDLE = 5; /* iterations without a smaller residual after which rounding is the floor */
+
+/* The largest multiplier times what its slack is a difference of: an entry of x and a bound; of h, taken as 1. */
+static real largest_product(const kpirl_mpc_core *core) {
+  const int m = kpirl_mpc_n_inequalities(core), low = core->n_lower, bounds = kpirl_mpc_n_bounds(core);
+  real most = kpirl_mpc_largest(core->at.z + bounds, m - bounds);
+  int i;
+  for (i = 0; i < bounds; ++i) {
+    const real x = core->at.x[i < low ? core->lower[i] : core->upper[i - low]];
+    most = kpirl_mpc_larger(kpirl_mpc_abs(x) * core->at.z[i], most);
+  }
+  return most;
+}
+
+/* What complementarity may be off: a fifth of the tolerance in units of the cost, unless rounding leaves more. The sum of all
+ * y z is the duality gap of a convex problem. */
+static real close_enough(const kpirl_mpc_core *core) {
+  return kpirl_mpc_larger((real)core->options.tolerance / 5, ROUNDING * largest_product(core));
+}
+
+/* The tau to stop at. */
+real kpirl_mpc_final_tau(const kpirl_mpc_core *core) {
+  return core->options.barrier > 0 ? (real)core->options.barrier : close_enough(core) / 2;
+}
+
+/* Residuals relative to the scale, those of feasibility as they are. */
+static void relative(const kpirl_mpc_residuals *r, real *parts) {
+  parts[0] = r->stationarity / r->scale;
+  parts[1] = r->complementarity / r->scale;
+  parts[2] = r->feasibility;
+}
+
+real kpirl_mpc_worst(const kpirl_mpc_residuals *r) {
+  real parts[3];
+  relative(r, parts);
+  return kpirl_mpc_largest(parts, 3);
+}
+
+/* Do the conditions hold? Complementarity relative to the scale alone would leave the weakest of the active constraints too far
+ * from its bound. */
+int kpirl_mpc_solved(const kpirl_mpc_core *core) {
+  kpirl_mpc_residuals residuals;
+  kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
+  return kpirl_mpc_worst(&residuals) <= core->tolerance && residuals.complementarity <= close_enough(core);
+}
+
+/* Do the conditions hold as far as rounding lets them? */
+int kpirl_mpc_acceptable(const kpirl_mpc_core *core) {
+  kpirl_mpc_residuals residuals;
+  kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
+  return kpirl_mpc_worst(&residuals) <= kpirl_mpc_root(core->tolerance) / 10;
+}
+
+/* Have all residuals stayed as they are for some iterations? A start that follows the dynamics has the best feasibility of all. */
+int kpirl_mpc_idle(kpirl_mpc_core *core) {
+  kpirl_mpc_residuals residuals;
+  real parts[3];
+  int i;
+  kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
+  relative(&residuals, parts);
+  ++core->idle;
+  for (i = 0; i < 3; ++i)
+    if (parts[i] < core->best[i] / 2) {
+      core->best[i] = parts[i];
+      core->idle = 0;
+    }
+  return core->idle >= IDLE;
+}
