@@ -177,10 +177,13 @@ def test_the_commands_about_controllers_build_and_run_the_folder(tmp_path):
         subprocess.run(words, check=True, cwd=tmp_path, capture_output=True)
 
 
-def test_the_readme_plans_for_a_function_of_a_file(tmp_path, monkeypatch):
+def test_the_commands_of_the_readme_plan_for_an_arm_and_for_a_function_of_a_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    stated = re.search(r"```python\n(.*?)\nplan = ", (ROOT / "README.md").read_text(), re.DOTALL).group(1)
-    own = stated + '\ndef pendulum():\n    return problem, {"s0": [0, 0], "psi": [0.8, 0.02]}\n'
-    Path("own.py").write_text(own)
-    (words,) = [words for words in blocks(ROOT / "README.md") if words[:2] == ["kpirl", "solve"]]
-    assert run(words[1:]) == 0
+    readme = (ROOT / "README.md").read_text()
+    stated = re.search(r"```python\n(.*?)\nplan = ", readme, re.DOTALL).group(1)
+    Path("own.py").write_text(stated + "\n" + re.search(r"`(def pendulum\(\): .*?)`", readme).group(1) + "\n")
+    solving = [words for words in commands(ROOT / "README.md") if words[:2] == ["kpirl", "solve"]]
+    assert len(solving) == 2
+    for words in solving:
+        assert run(words[1:]) == 0
+    assert Path("out/solve/plan.png").exists()
