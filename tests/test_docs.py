@@ -55,6 +55,36 @@ def test_a_training_step_through_a_problem_takes_ten_lines():
     assert len(lines) <= 10
 
 
+WITHOUT_EXTRAS = """
+import sys
+class Missing:
+    def find_spec(name, path=None, target=None):
+        if name.split(".")[0] in ("av", "cv2", "h5py", "pyarrow", "torch"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Missing)
+"""
+RECORDED = """
+seen = Riccati().solve(problem, [0, 0], [0.7, 0.01])
+rows = np.column_stack([0.05 * np.arange(26), seen.states, np.append(seen.actions, 0)])
+np.savetxt("mine.csv", rows, "%.5f", delimiter=",", header="t,angle,rate,torque", comments="")
+"""
+FROM_A_FILE = """
+from kpirl_ocp.perception.data.formats import read_csv
+take = read_csv("mine.csv", {"observation.state": ["angle", "rate"], "action": ["torque"]}, time="t")
+demonstration = take.demonstration(state="observation.state")
+"""
+
+
+def test_an_own_recording_in_a_table_is_learned_from_as_the_tutorial_learns_without_any_extra(tmp_path):
+    plan, learning = CODE["docs/tutorial.md"][0], CODE["docs/tutorial.md"][2]
+    assert "learn(problem, [demonstration]" in learning
+    taught = re.sub(r"(?m)^(observed|demonstration) = .*\n", "", learning)
+    program = WITHOUT_EXTRAS + plan + RECORDED + FROM_A_FILE + taught
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.split("\n")[-2] == "[0.7  0.01]"
+
+
 @pytest.mark.parametrize("path", [*PAGES, ROOT / "README.md"], ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_links_and_pictures_of_a_page_are_there(path):
     for target in re.findall(

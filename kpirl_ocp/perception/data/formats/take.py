@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kpirl_ocp.episodes import Episode
 from kpirl_ocp.errors import EpisodeError
-from kpirl_ocp.perception.data.decoding import decode
-from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.perception import data  # its names need packages for videos, which a table of numbers does not
 from kpirl_ocp.types import Array, Demonstration
+
+if TYPE_CHECKING:
+    from kpirl_ocp.perception.data import Frames
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class VideoPart:
         """Frames (count, H, W, 3) RGB. Raises EpisodeError if the file is no video or holds fewer."""
         images: list[Frames] = []
         end = self.start + (self.count - 1) / self.rate
-        for time, image in decode(self.path, end + 0.5 / self.rate):
+        for time, image in data.iterate_frames(self.path, end=end + 0.5 / self.rate):
             if time >= self.start - 0.5 / self.rate and len(images) < self.count:
                 images.append(image)
         if len(images) != self.count:
