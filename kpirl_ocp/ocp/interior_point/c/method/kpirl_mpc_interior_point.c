@@ -2,7 +2,7 @@
  *
  * The interior-point method: predictor-corrector steps (Mehrotra, 1992) until the first-order conditions hold, as long as
  * a filter accepts (Waechter and Biegler, 2006, sections 2.3 and 3.1); or a fixed number of full Newton steps, the
- * real-time iteration (Diehl et al., 2005). Where pivots of the recursion are not positive, weight on the actions is added.
+ * real-time iteration (Diehl et al., 2005).
  */
 #include "kpirl_mpc_core.h"
 
