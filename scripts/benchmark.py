@@ -1,7 +1,8 @@
 """Measure the fast core beside torch, JAX, plain CasADi, Fatrop and Ipopt, on one thread, and hold it against its bars.
 
-Contenders take turns in one run. Writes benchmark.md, benchmark.png and metrics.json. JAX and torch are optional peers:
-pip install .[bench]. The cache of compiled code is empty at the start, and does not touch the user's.
+Contenders take turns in one run, which takes a quarter of an hour. Writes benchmark.md, benchmark.png and metrics.json;
+with --page the pages that show them, too. JAX, torch, PIQP and Crocoddyl are optional peers: pip install .[bench]. The
+cache of compiled code is empty at the start, and does not touch the user's.
 """
 
 from kpirl_ocp.cli.main import experiment
@@ -10,7 +11,7 @@ from kpirl_ocp.cli.values import one_of
 
 PRESETS = ("full", "tiny")
 PARTS = (
-    *("ceilings", "control", "hypergradients", "batches", "solvers", "implicit"),
+    *("ceilings", "control", "hypergradients", "batches", "solvers", "implicit", "qps"),
     *("growth", "real_time", "memory", "compile_times", "iiwa", "export"),
 )
 
@@ -19,6 +20,9 @@ def add_options(parser: Parser) -> None:
     parser.add_argument("--preset", type=one_of(PRESETS), default="full", help=f"{' or '.join(PRESETS)} (the first)")
     parser.add_argument(
         "--only", type=one_of(PARTS), nargs="+", default=list(PARTS), metavar="PART", help=f"some of {', '.join(PARTS)}"
+    )
+    parser.add_argument(
+        "--page", action="store_true", help="write docs/results/benchmark.md, its figure and the README's table as well"
     )
 
 

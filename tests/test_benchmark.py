@@ -212,3 +212,40 @@ def test_a_solve_counts_only_where_it_ends_at_the_same_optimum(bench):
     assert bar.note.startswith("Riccati, 1e-08")
     (bar,) = bars({"solvers": {"random": results | {solvers.PLAIN: [times(1000.0) | good | {"ok": False}]}}})
     assert bar.verdict == "not measured"
+
+
+# Pages
+
+
+def test_the_readme_shows_the_fastest_peer_of_every_problem(bench):
+    page, control = bench("page"), bench("control")
+    numbers = {"pendulum": {control.OURS: times(1.25), control.PEER: times(9.0)}, "LQR": {control.OURS: times(0.5)}}
+    numbers["LQR"] |= {control.PEER: times(8.0), "HPIPM": times(0.75)}
+    rows = ["|  | pendulum | LQR |", "| --- | --- | --- |", "| `Riccati` | 1.2 | 0.5 |"]
+    table = "\n".join([*rows, "| fastest peer | 9 (Ipopt) | 0.75 (HPIPM) |"])
+    assert page.readme_table(numbers) == table
+    first = page.in_readme("a\n<!-- benchmark -->\nold\n<!-- end of benchmark -->\nb", numbers)
+    assert first == f"a\n<!-- benchmark -->\n{table}\n<!-- end of benchmark -->\nb"
+    assert page.in_readme(page.README.read_text(), numbers).count("| `Riccati` |") == 1
+    with pytest.raises(ValueError, match="has no lines"):
+        page.in_readme("nothing", numbers)
+
+
+def test_hpipm_is_given_the_qp_that_we_solve(bench):
+    case = bench("control_problems").bounded_lqr(True, horizon=5)
+    peers = bench("qp_peers").qp_peers(case, 1e-8)
+    assert list(peers) == list(bench("qp_peers").NAMES)
+    solve, iterations = peers["HPIPM"]
+    H, g, *_ = bench("qp_peers")._program(case)
+    x = solve()["x"]
+    assert iterations > 0
+    assert float(x.T @ H @ x / 2 + g.T @ x) == pytest.approx(Riccati().solve(case.problem, case.s0).objective, rel=1e-7)
+
+
+def test_gradients_of_a_batch_of_qps_are_those_of_mpc_pytorch(bench):
+    pytest.importorskip("mpc")
+    qps = bench("qps")
+    batch = qps.random_batch(3, 4, 1e4)
+    found = qps._compare(qps._peer(batch)(), qps._ours(qps.qp(4, 1e4), batch, 1)())
+    assert found["done"] == "3"
+    assert found["difference"] < 1e-8

@@ -6,10 +6,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from bench.contenders import ALONE, JAX, OURS, TORCH
+from bench.control import EXPORTED, FIRST, FIRST_PEER, PEERS, WITHOUT
+from bench.control import GRADIENT as PULL
+from bench.control import OURS as CONTROL
 from bench.export import FLOAT, REAL_TIME
 from bench.implicit import BOTH, GRADIENT, SOLVE
 from bench.memory import IMPLICIT
 from bench.part import Numbers, Table
+from bench.qp_peers import HPIPM
+from bench.qps import ONE, PEER, SOLVES_ONE, SOLVES_TWO, TIGHT, TWO, WIDE
 from bench.real_time import PUBLIC
 from bench.solvers import PLAIN, RICCATI, SAME, same_optimum
 
@@ -50,6 +55,8 @@ def table(found: list[Bar]) -> Table:
 def bars(results: Results) -> list[Bar]:
     """Every claim whose part was run."""
     sources = {
+        "control": _control,
+        "qps": _qps,
         "hypergradients": _hypergradients,
         "batches": _batches,
         "solvers": _solvers,
@@ -61,6 +68,31 @@ def bars(results: Results) -> list[Bar]:
         "export": _export,
     }
     return [bar for part, claims in sources.items() if part in results for bar in claims(results[part])]
+
+
+def _control(numbers: Numbers) -> Iterator[Bar]:
+    for name, found in numbers.items():
+        own = found[CONTROL]
+        peers = [found[peer] for peer in PEERS if peer in found]
+        fastest = min(peers, key=lambda peer: peer["median_ms"], default={"left_out": "no peer took part"})
+        if HPIPM in found:
+            yield Bar(f"{name}: solve / HPIPM", 1.0, _ratio(own, found[HPIPM]), note=_otherwise(own, found[HPIPM]))
+        else:
+            yield Bar(f"{name}: solve / best peer", 0.5, _ratio(own, fastest), note=_otherwise(own, fastest))
+        yield Bar(f"{name}: solve / exported controller", 1.2, _ratio(own, found.get(EXPORTED, {})))
+        yield Bar(f"{name}: without a compiler / with one", 10.0, _ratio(found[WITHOUT], own))
+        yield Bar(f"{name}: first solve / Ipopt's first", 0.5, found[FIRST] / found[FIRST_PEER])
+        yield Bar(f"{name}: gradient and certificate / solve", 0.4, _ratio(found[PULL], own))
+
+
+def _qps(numbers: Numbers) -> Iterator[Bar]:
+    wide, tight = numbers[WIDE], numbers[TIGHT]
+    both = f"QPs, {WIDE}: solve and gradient, two threads"
+    yield Bar(f"{both} / mpc.pytorch", 0.5, _ratio(wide[TWO], wide[PEER]), note=_otherwise(wide[TWO], wide[PEER]))
+    each = 2 * tight[TWO]["median_ms"] / int(tight["count"])
+    yield Bar(f"QPs, {TIGHT}: solve and gradient, per problem and thread", 1.0, each, " ms")
+    yield Bar(f"{both} / one", 1 / 1.8, _ratio(wide[TWO], wide[ONE]))
+    yield Bar(f"QPs, {WIDE}: solves, two threads / one", 1 / 1.8, _ratio(wide[SOLVES_TWO], wide[SOLVES_ONE]))
 
 
 def _hypergradients(numbers: Numbers) -> Iterator[Bar]:
@@ -102,7 +134,7 @@ def _solvers(numbers: Numbers) -> Iterator[Bar]:
 def _implicit(numbers: Numbers) -> Iterator[Bar]:
     for name, results in numbers.items():
         note = f"{_otherwise(results[GRADIENT], results[SOLVE])}; {'' if results['certified'] else 'not '}certified"
-        yield Bar(f"implicit gradient / solve ({name})", 0.15, _ratio(results[GRADIENT], results[SOLVE]), note=note)
+        yield Bar(f"implicit gradient / solve ({name})", 0.2, _ratio(results[GRADIENT], results[SOLVE]), note=note)
         yield Bar(
             f"solve and gradient / unrolled, N = {results['N']} ({name})",
             1.0,

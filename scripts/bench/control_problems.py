@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
 from kpirl_ocp import OCP
+from kpirl_ocp.irl.cases.network_cases import placing_case
+from kpirl_ocp.irl.cases.tasks import HORIZON, as_demonstration, demonstrate
+from kpirl_ocp.ocp.models import KeypointCost, Robot, Weighted, keypoint_ocp
 from kpirl_ocp.types import Array
 
 GRAVITY = 9.81  # [m/s^2]
@@ -22,6 +25,13 @@ class ControlProblem:
     name: str
     problem: OCP
     s0: Array
+    psi: Array = field(default_factory=lambda: np.zeros(0))
+    context: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def arguments(self) -> tuple[OCP, Array, Array, Array]:
+        """Of a solver."""
+        return self.problem, self.s0, self.psi, self.context
 
 
 def rk4(ode: Callable[[ca.SX, ca.SX], ca.SX], s: ca.SX, u: ca.SX, step: float) -> ca.SX:
@@ -157,8 +167,33 @@ def bounded_lqr(state_bounds: bool, horizon: int = 50) -> ControlProblem:
     )
 
 
+def iiwa() -> ControlProblem:
+    """Placing with an iiwa and ground-truth keypoints, as in the README."""
+    robot, cost = Robot.iiwa(), KeypointCost(Weighted(), effort=10.0)
+    seen = as_demonstration(robot, demonstrate(robot, "placing", 1, seed=0)[0])
+    problem = keypoint_ocp(robot, cost, HORIZON)
+    psi = cost.initial(HORIZON, problem.n_observations)
+    return ControlProblem("iiwa, placing", problem, seen.s0, psi, seen.context)
+
+
+def network(horizon: int = 10) -> ControlProblem:
+    """Placing with the learned keypoint dynamics that come with the package."""
+    data = placing_case(horizon, 1)
+    return ControlProblem("placing network", data.bounded, data.s0[0], data.psi.ravel(), data.goal[0])
+
+
 def problems(tiny: bool) -> list[ControlProblem]:
     """All of them, or two short ones."""
     if tiny:
         return [pendulum(8), bounded_lqr(True, 5)]
-    return [pendulum(), cart_pole(), quadrotor(), chain(3), chain(5), bounded_lqr(False), bounded_lqr(True)]
+    return [
+        pendulum(),
+        cart_pole(),
+        quadrotor(),
+        chain(3),
+        chain(5),
+        iiwa(),
+        network(),
+        bounded_lqr(False),
+        bounded_lqr(True),
+    ]

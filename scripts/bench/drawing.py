@@ -9,6 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from bench.contenders import JAX, OURS, PLAIN, TORCH
+from bench.control import EXPORTED, GRADIENT, PEERS, WITHOUT
+from bench.control import OURS as OUR_SOLVER
 from bench.part import Numbers
 from bench.settings import Preset
 from kpirl_ocp import figures
@@ -36,6 +38,7 @@ def _panels(results: Results, preset: Preset) -> list[Panel]:
         grid = results["hypergradients"]["grid"]
         panels += [lambda axis, steps=steps: _over_horizons(axis, grid, steps, preset) for steps in preset.steps]
     drawn: dict[str, Callable[[Axes, Numbers], None]] = {
+        "control": _control,
         "solvers": _solvers,
         "growth": _growth,
         "memory": _memory,
@@ -59,6 +62,21 @@ def _over_horizons(axis: Axes, grid: Numbers, steps: int, preset: Preset) -> Non
     axis.grid(alpha=0.3)
     axis.set_ylim(top=20 * axis.get_ylim()[1])  # room for the legend
     axis.legend(fontsize=7, loc="upper left")
+
+
+def _control(axis: Axes, numbers: Numbers) -> None:
+    """Medians over the problems, one mark per contender."""
+    names = list(numbers)
+    for index, who in enumerate((OUR_SOLVER, WITHOUT, EXPORTED, GRADIENT, *PEERS)):
+        places = [(numbers[name][who]["median_ms"], y) for y, name in enumerate(names) if who in numbers[name]]
+        if places:
+            marker, colour = "ov^D<>ps"[index % 8], figures.COLOURS[index % len(figures.COLOURS)]
+            axis.plot(*zip(*places, strict=True), marker, color=colour, label=who, markersize=5)
+    axis.set_yticks(range(len(names)), names, fontsize=7)
+    axis.set(xscale="log", xlabel="time [ms]", title="control problems, cold starts to 1e-8")
+    axis.set_ylim(len(names) + 3.5, -0.5)  # room for the legend
+    axis.grid(alpha=0.3, axis="x")
+    axis.legend(fontsize=6, loc="lower left", ncols=2)
 
 
 def _solvers(axis: Axes, numbers: Numbers) -> None:

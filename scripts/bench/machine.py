@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from bench.one_thread import AVAILABLE
 from bench.part import Numbers
 
 
@@ -18,6 +21,20 @@ def describe() -> Numbers:
         "compiler": _compiler(),
         "load": list(os.getloadavg()),
     }
+
+
+@contextmanager
+def all_cores() -> Iterator[None]:
+    """Threads that are started in this context may use every core that the process was given."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, AVAILABLE)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 def _processor() -> str:

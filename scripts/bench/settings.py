@@ -18,8 +18,9 @@ class Preset:
     hidden: widths of the network's hidden layers. steps: N and horizons: T of the grid of hypergradients.
     paper_steps, paper_horizon: N and T of the paper. long_steps: N at which unrolling should cost more than solving.
     demonstrations: how many are evaluated at once. starts: solved OCPs per model. growing: horizons for growth.
-    control_steps: of the closed loop.
+    control_steps: of the closed loop. qps: how many at once, qp_horizon: of each.
     exported: horizons of exported controllers. exported_steps: of their closed loop. optimisation: of their compiler.
+    exported_control: optimisation of exported controllers among the control problems.
     counts: iterations at which memory is measured.
     remembered: contenders whose memory is measured. methods: of learn_cost.py whose compilation is timed.
     bases: of the keypoint costs on the iiwa. trained: measure the model that comes with the package, too.
@@ -34,20 +35,23 @@ class Preset:
     paper_horizon: int = 25
     long_steps: int = 100
     demonstrations: int = 10
-    starts: int = 3
+    starts: int = 2
     growing: tuple[int, ...] = (25, 100, 400)
     control_steps: int = 100
+    qps: int = 128
+    qp_horizon: int = 20
     exported: tuple[int, ...] = (10, 25)
     exported_steps: int = 10000
     optimisation: str = "-O3"
+    exported_control: str = "-O1"
     counts: tuple[int, ...] = (10, 100, 1000)
     remembered: tuple[str, ...] = NAMES
     methods: tuple[str, ...] = ("unrolled", "implicit")
     bases: tuple[Basis, ...] = (Weighted(), TimeDependent(), RBF())
     trained: bool = True
-    budget: float = 2.0
+    budget: float = 1.0
     most: int = 300
-    patience: float = 30.0
+    patience: float = 5.0
 
     def models(self, *activations: str, steps: int | None = None, count: int = 1) -> list[NetworkCase]:
         """Random weights with these activations, and the trained model, at the paper's T; N by default the paper's."""
@@ -69,9 +73,12 @@ PRESETS = {
         starts=1,
         growing=(2, 4),
         control_steps=3,
+        qps=3,
+        qp_horizon=4,
         exported=(2,),
         exported_steps=20,
         optimisation="-O0",
+        exported_control="-O0",
         counts=(2,),
         remembered=(OURS,),
         methods=("unrolled",),

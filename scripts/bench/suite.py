@@ -21,6 +21,8 @@ from bench import (
     implicit,
     machine,
     memory,
+    page,
+    qps,
     real_time,
     solvers,
 )
@@ -36,6 +38,7 @@ PARTS = {
     "batches": batches.measure,
     "solvers": solvers.measure,
     "implicit": implicit.measure,
+    "qps": qps.measure,
     "growth": growth.measure,
     "real_time": real_time.measure,
     "memory": memory.measure,
@@ -45,15 +48,15 @@ PARTS = {
 }
 
 
-def measure(names: list[str], preset: str, numbers: dict[str, dict]) -> list[Table]:
+def measure(names: list[str], preset: str, numbers: dict[str, dict]) -> dict[str, list[Table]]:
     """Tables of the parts, each shown as soon as it is done; their numbers go into `numbers`."""
-    tables: list[Table] = []
+    tables: dict[str, list[Table]] = {}
     for name in names:
         print(f"{name} ..", flush=True)
         started = time.perf_counter()
         part = PARTS[name](PRESETS[preset])
         numbers[name] = part.numbers
-        tables += part.tables
+        tables[name] = list(part.tables)
         print("\n\n".join(map(str, part.tables)) + f"\n\n({time.perf_counter() - started:.0f} s)\n", flush=True)
     return tables
 
@@ -67,8 +70,8 @@ def main(args: Namespace) -> None:
         os.environ["XDG_CACHE_HOME"] = cache
         tables = measure(args.only, args.preset, numbers)
     claims = bars(numbers)
-    tables.append(table(claims))
-    print(f"{tables[-1]}\n")
+    verdicts = table(claims)
+    print(f"{verdicts}\n")
 
     after = machine.describe()["load"]
     if max(before["load"][0] - 1, after[0] - 2) > 0.5:
@@ -78,6 +81,11 @@ def main(args: Namespace) -> None:
     settings = vars(args) | {"machine": before | {"load_after": after}}
     results = numbers | {"bars": [vars(bar) | {"verdict": bar.verdict} for bar in claims]}
     written = args.out / "benchmark.md"
-    written.write_text("\n\n".join(map(str, tables)) + "\n")
+    every = [*(one for part in tables.values() for one in part), verdicts]
+    written.write_text("\n\n".join(map(str, every)) + "\n")
     print(f"tables:  {written}\nnumbers: {write_metrics(args.out, settings, results)}")
-    print(f"figure:  {drawing.draw(numbers, PRESETS[args.preset], args.out / 'benchmark.png')}")
+    figure = drawing.draw(numbers, PRESETS[args.preset], args.out / "benchmark.png")
+    print(f"figure:  {figure}")
+    if args.page:
+        page.write(tables, verdicts, numbers, figure)
+        print(f"page:    {page.PAGE}")
