@@ -36,6 +36,17 @@ def test_no_case_is_certified_and_wrong(contest):
     assert contest[1] == []
 
 
+@pytest.mark.parametrize("index", [17, 32, 309, 351, 359])
+def test_differences_that_agree_are_not_certified_where_they_are_wrong(index):
+    """Saddles, flat minima, a change of the active set and a kink between psi and the nearest difference."""
+    assert judge(draw(index), "FiniteDifference") is not Verdict.WRONG
+
+
+@pytest.mark.parametrize(("index", "verdict"), [(16, "RIGHTLY_FLAGGED"), (20, "RIGHT"), (22, "RIGHT")])
+def test_gradients_of_gradient_steps_are_those_of_the_steps(index, verdict):
+    assert judge(draw(index), "Unrolled") is Verdict[verdict]
+
+
 def test_an_acceptable_solution_that_newton_steps_still_move_is_not_certified():
     """A fold in odd units: the solver stops at 1.4 % of an action, and says that rounding leaves no more."""
     assert judge(draw(6111)) is not Verdict.WRONG

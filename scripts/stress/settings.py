@@ -5,12 +5,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Profile:
-    """cases: of the contest; peers take every `every`-th of them. kills: of each program. solves, problems: in one
-    process. statuses: random problems.
+    """cases: of the contest; peers take every `every`-th of them, other methods `others`.
+
+    kills: of each program. solves, problems: in one process. statuses: random problems.
     """
 
     cases: int
     every: int
+    others: int
     kills: int
     solves: int
     problems: int
@@ -18,6 +20,6 @@ class Profile:
 
 
 PROFILES = {
-    "quick": Profile(cases=300, every=10, kills=2, solves=1_000, problems=30, statuses=30),
-    "full": Profile(cases=10_000, every=5, kills=20, solves=100_000, problems=1_000, statuses=1_000),
+    "quick": Profile(cases=300, every=10, others=20, kills=2, solves=1_000, problems=30, statuses=30),
+    "full": Profile(cases=10_000, every=5, others=1_000, kills=20, solves=100_000, problems=1_000, statuses=1_000),
 }

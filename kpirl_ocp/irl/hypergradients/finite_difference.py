@@ -5,12 +5,14 @@ computation of F'(x) and F'(x) F''(x), 1982). The step balances truncation, O(h^
 noise of the inner solve divided by h: with solves to 1e-10 the default reaches about eight digits.
 
 Central differences agree with each other even on a kink, so one-sided differences are compared as well: their gap
-must vanish with h.
+must vanish with h. And they agree where something changes between psi and psi + h/8, so that those of h/1000 must agree
+with the rest. No difference tells a saddle from a minimum, or the derivative of a step from zero: the solution at psi,
+and the loss there, have to pass the tests of the implicit gradient, too; its numbers are not used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,14 +24,18 @@ from kpirl_ocp.irl.hypergradients.certificate import (
     enforce,
     nonfinite_failures,
 )
+from kpirl_ocp.irl.hypergradients.implicit import differentiate
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
+from kpirl_ocp.irl.hypergradients.smoothness import kinks_at
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, Solver
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, Policy, check_policy
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 from kpirl_ocp.types import Array, Demonstration, Solution
 
 _LEVELS = 4
+_NEARBY = 1e-3  # of the largest h
 # Largest tolerated disagreement of the extrapolations, and gap of the one-sided differences, relative to the slopes.
 DISAGREEMENT = 1e-5
 GAP = 1e-3
@@ -72,7 +78,7 @@ class FiniteDifference:
     ) -> HypergradientResult:
         """Loss, gradient (n_psi,) and certificate at psi (n_psi,); arguments and errors as in `Hypergradient`.
 
-        Needs 8 n_psi + 1 solves.
+        Needs 10 n_psi + 1 solves.
         """
         s0, psi, context = problem.inputs(demonstration.s0, psi, demonstration.context)
         data, loss = data_of(self.loss, problem, demonstration), self.loss(problem)
@@ -84,32 +90,46 @@ class FiniteDifference:
 
         value = evaluate(psi)
         rows = [_derivative(evaluate, value, psi, i, self.step * max(1.0, abs(psi[i]))) for i in range(len(psi))]
-        gradient, disagreement, gap, slope = np.array(rows).reshape(-1, 4).T
-        noise = NOISE * abs(value) / (self.step / 2 ** (_LEVELS - 1))
+        gradient, disagreement, gap, slope, change = np.array(rows).reshape(-1, 5).T
+        noise = NOISE * abs(value) / self.step
+        failures = [
+            *nonfinite_failures(value, gradient),
+            *_failures(solutions, disagreement, gap, slope, noise * 2 ** (_LEVELS - 1)),
+            *_nearby_failures(change, slope, noise / _NEARBY),
+            *self._evidence(problem, demonstration, solutions[0]),
+        ]
         certificate = FiniteDifferenceCertificate(
-            solution=solutions[0],
-            failures=tuple(nonfinite_failures(value, gradient) + _failures(solutions, disagreement, gap, slope, noise)),
-            disagreement=disagreement,
-            gap=gap,
+            solution=solutions[0], failures=tuple(failures), disagreement=disagreement, gap=gap
         )
         return enforce(self.policy, HypergradientResult(value, gradient, certificate))
+
+    def _evidence(self, problem: OCP, demonstration: Demonstration, solution: Solution) -> Sequence[str]:
+        """Failures of the solution and of the loss there, whatever the differences are."""
+        if not solution.status.ok or not np.isfinite(solution.states).all():
+            return ()
+        if isinstance(self.solver, GradientDescent):
+            return kinks_at(problem, self.loss, data_of(self.loss, problem, demonstration), solution)
+        return differentiate(problem, demonstration, solution, self.loss).certificate.failures
 
 
 def _derivative(
     evaluate: Callable[[Array], float], centre: float, psi: Array, index: int, step: float
-) -> tuple[float, float, float, float]:
-    """Derivative along one parameter, its disagreement, the gap between right and left, and the steepest slope.
+) -> tuple[float, float, float, float, float]:
+    """Derivative along one parameter, its disagreement, the gap between right and left, the steepest slope, and the
+    change of the derivative at far smaller h.
 
     Errors are relative to the slope: at a minimum of the loss the derivative vanishes, the slopes do not.
     """
-    steps = step / 2.0 ** np.arange(_LEVELS)
+    steps = step * np.array([*2.0 ** -np.arange(_LEVELS), _NEARBY])
     direction = np.eye(len(psi))[index]
     right, left = (np.array([evaluate(psi + sign * h * direction) for h in steps]) for sign in (1, -1))
     with np.errstate(over="ignore", invalid="ignore"):  # a diverged loss gives NaN, which is the answer
-        derivative, disagreement = _extrapolate((right - left) / (2 * steps))
-        gaps = (right - 2 * centre + left) / steps
+        *central, nearby = (right - left) / (2 * steps)
+        derivative, disagreement = _extrapolate(np.array(central))
+        gaps = ((right - 2 * centre + left) / steps)[:_LEVELS]
         slope = np.max(np.abs([right[0] - centre, left[0] - centre])) / step
-    return derivative, disagreement, 2 * gaps[-1] - gaps[-2], float(slope)
+        change = abs(nearby - derivative)
+    return derivative, disagreement, 2 * gaps[-1] - gaps[-2], float(slope), float(change)
 
 
 def _extrapolate(central: Array) -> tuple[float, float]:
@@ -138,3 +158,10 @@ def _failures(solutions: list[Solution], disagreement: Array, gap: Array, slope:
     if not (np.abs(gap) <= GAP * scale + 4 * noise).all():
         failures.append(f"Right and left derivatives differ by {np.max(np.abs(gap)) / scale:.1e} of the slope.")
     return failures
+
+
+def _nearby_failures(change: Array, slope: Array, noise: float) -> list[str]:
+    scale = np.max(slope, initial=np.finfo(float).tiny)
+    if (change <= GAP * scale + noise).all():
+        return []
+    return [f"The derivative changes by {np.max(change) / scale:.1e} of the slope at far smaller steps: lower `step`."]

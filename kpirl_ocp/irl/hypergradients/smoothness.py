@@ -47,6 +47,12 @@ def parameter_kinks(problem: OCP, solution: Solution) -> list[str]:
     return [PARAMETER_KINK]
 
 
+def kinks_at(problem: OCP, loss: Loss, data: Array, solution: Solution) -> list[str]:
+    """Sentences if the loss, or a function of psi, is not smooth at a plan; data: (n_data, T+1) of the loss."""
+    plan = by_stage(solution.states, solution.actions)
+    return LossAt(problem, loss, data, plan).kinks + parameter_kinks(problem, solution)
+
+
 @lru_cache(maxsize=64)
 def _loss_and_slopes(loss: Loss) -> Callable[[OCP], ca.Function]:
     """problem -> (S (n_s, T+1), U (n_u, T), data (n_data, T+1)) -> L, dL/dS (n_s, T+1), dL/dU (n_u, T)."""

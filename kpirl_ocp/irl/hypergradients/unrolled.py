@@ -25,11 +25,10 @@ from kpirl_ocp.irl.hypergradients.certificate import (
     nonfinite_failures,
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
-from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
+from kpirl_ocp.irl.hypergradients.smoothness import kinks_at
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_function
-from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, Policy, check_policy
@@ -164,9 +163,7 @@ def _with_kinks(
     problem: OCP, loss: Loss, demonstration: Demonstration, result: HypergradientResult
 ) -> HypergradientResult:
     """With a failure where the loss, or a function of psi, is not smooth at the last iterate."""
-    solution, data = result.certificate.solution, data_of(loss, problem, demonstration)
-    plan = by_stage(solution.states, solution.actions)
-    kinks = LossAt(problem, loss, data, plan).kinks + parameter_kinks(problem, solution)
+    kinks = kinks_at(problem, loss, data_of(loss, problem, demonstration), result.certificate.solution)
     certificate = replace(result.certificate, failures=(*result.certificate.failures, *kinks))
     return result._replace(certificate=certificate)
 

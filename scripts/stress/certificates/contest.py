@@ -9,7 +9,7 @@ from bench.part import Part, Table
 from tqdm import tqdm
 
 from stress.certificates.families import draw
-from stress.certificates.verdicts import Verdict, healthy, judge
+from stress.certificates.verdicts import METHODS, Verdict, healthy, judge
 from stress.settings import Profile
 
 _NOTE = (
@@ -17,6 +17,10 @@ _NOTE = (
     "parameters each. Right: every entry within 1e-3 of the known gradient, relative to its terms. "
     "A certificate is due where the problem is smooth within a distance of 1e-2 and the solver is given what it needs; "
     "a flag there counts as 'though right', and the last column is the share of these that were certified."
+)
+_OTHERS = (
+    "Those in units that are not drawn. Unrolled: 100 steps of gradient descent, whose derivative is right if it is "
+    "that of the minimiser or the slope to both sides of what the steps make of psi."
 )
 
 
@@ -28,18 +32,31 @@ def measure(profile: Profile) -> Part:
     header = ["cases", *(verdict.value for verdict in Verdict), "of those due"]
     numbers = {name: {verdict.name: tally[verdict] for verdict in Verdict} for name, tally in counts.items()}
     results = {"families": numbers, "wrong": wrong, "healthy": healthy(total)}
-    return Part(results, [Table(f"Certificates of {profile.cases} generated cases", header, rows, _NOTE)])
+    others = {name: count(range(0, 2 * profile.others, 2), name) for name in METHODS if name != "Implicit"}
+    for name, (tally, bad) in others.items():
+        results[name] = {verdict.name: sum(tally.values(), Counter())[verdict] for verdict in Verdict} | {"wrong": bad}
+        results["wrong"] = results["wrong"] + bad
+    tables = [
+        Table(f"Certificates of {profile.cases} generated cases", header, rows, _NOTE),
+        Table(
+            f"Other methods, of {profile.others} cases each",
+            header,
+            [_row(name, sum(tally.values(), Counter())) for name, (tally, _) in others.items()],
+            _OTHERS,
+        ),
+    ]
+    return Part(results, tables)
 
 
-def count(indices) -> tuple[dict[str, Counter], list[int]]:
+def count(indices, method: str = "Implicit") -> tuple[dict[str, Counter], list[int]]:
     """Verdicts by family, and the numbers of cases that are certified and wrong."""
     counts: dict[str, Counter] = defaultdict(Counter)
     wrong = []
-    for index in tqdm(indices, "certificates", unit="case"):
+    for index in tqdm(indices, f"certificates, {method}", unit="case"):
         case = draw(index)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            verdict = judge(case)
+            verdict = judge(case, method)
         counts[case.family][verdict] += 1
         if verdict is Verdict.WRONG:
             wrong.append(index)
