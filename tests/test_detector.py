@@ -13,6 +13,7 @@ pytest.importorskip("torch")
 import torch
 from safetensors.numpy import load_file, save_file
 
+from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.errors import FileError, ModelError, ProblemError, TrainingError
 from kpirl_ocp.perception.data.recordings import Recording
 from kpirl_ocp.perception.detector import losses
@@ -279,6 +280,19 @@ def test_a_detection_is_the_sharpened_scores_of_the_resized_image(detector):
     with torch.no_grad():
         expected = local_soft_argmax(detector.model.encode(frames).scores)
     np.testing.assert_allclose(keypoints, expected, rtol=0, atol=1e-5)
+
+
+def test_a_detection_is_the_same_bit_by_bit_on_any_number_of_threads():
+    detector = KeypointDetector.load(shipped_model("detector"))
+    images = np.concatenate([clip.images for clip in FILMS])
+    found = []
+    for threads in (1, 2, 3):
+        torch.set_num_threads(threads)
+        found.append(detector.detect(images))
+        assert torch.get_num_threads() == threads
+    torch.set_num_threads(1)
+    for other in found[1:]:
+        np.testing.assert_array_equal(other, found[0])
 
 
 def test_many_images_are_detected_as_each_by_itself(detector):

@@ -16,8 +16,9 @@ from kpirl_ocp.cli.main import run
 from kpirl_ocp.episodes import read_episode
 from kpirl_ocp.errors import FileError
 from kpirl_ocp.irl.visual.learning import CONVERGED
-from kpirl_ocp.irl.visual.planning_costs import PlanningCost, read_planning_cost, write_planning_cost
+from kpirl_ocp.irl.visual.planning_costs import ArmLimits, PlanningCost, read_planning_cost, write_planning_cost
 from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
+from kpirl_ocp.ocp.models.robot import Robot
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.motions import Placing
 from kpirl_ocp.perception.data.recordings import ArmRecording
@@ -53,32 +54,51 @@ def test_an_arm_repeats_a_film_with_dynamics_that_were_learned(placing, tmp_path
     assert np.shape(results["weights"]) == (10, 8)
     assert (tmp_path / "c" / "Makefile").exists()
     assert (tmp_path / "paths.png").stat().st_size > 0
+    content = json.loads((tmp_path / "cost.json").read_text())
+    assert (content["robot"], content["keypoints"], content["unit"]) == ("iiwa", 4, "half an image")
+    lower, upper = Robot.iiwa().joint_limits
+    np.testing.assert_allclose([content["limits"][side] for side in ("lower", "upper")], [lower, upper])
+    plan = read_episode(tmp_path / "plan.npz", Plan)
+    assert np.all((plan.joints >= lower) & (plan.joints <= upper))
+    assert np.abs(plan.actions).max() <= content["limits"]["max_displacement"] + 1e-9
     again = [*MODELS, "--steps", "10", "--cost", str(tmp_path / "cost.json")]
     assert run(["learn-video", str(placing), *again, "--out", str(tmp_path / "again")]) == 0, capsys.readouterr()
     assert not (tmp_path / "again" / "cost.json").exists()
     found = json.loads((tmp_path / "again" / "metrics.json").read_text())["results"]
     np.testing.assert_allclose(found["planned"], results["planned"], rtol=1e-5)
+    other = [*again, "--seed", "5", "--export", "--out", str(tmp_path / "other")]  # from another start
+    assert run(["learn-video", str(placing), *other]) == 0, capsys.readouterr()
+    assert np.abs(read_episode(tmp_path / "other" / "plan.npz", Plan).joints[0] - plan.joints[0]).max() > 1e-3
+    assert (tmp_path / "other" / "c" / "Makefile").exists()
+    assert run(["learn-video", str(placing), *again, "--robot", "ur5", "--out", str(tmp_path / "ur5")]) == 2
+    assert run(["export", "--cost", str(tmp_path / "cost.json"), "--out", str(tmp_path / "never")]) == 2
+    assert "kpirl learn-video FILM" in capsys.readouterr().err
 
 
 def test_a_cost_over_detected_keypoints_survives_the_disk_and_fits_its_dynamics_alone(tmp_path):
     dynamics = load_dynamics(shipped_model("placing"))
-    cost = PlanningCost(np.arange(24.0).reshape(3, 8), np.ones(3), CONVERGED)
+    limits = ArmLimits("my_arm.urdf", (-1.0, -np.inf, *[-2.0] * 5), (1.0, np.inf, *[2.0] * 5), 0.25)
+    cost = PlanningCost(np.arange(24.0).reshape(3, 8), np.ones(3), CONVERGED, limits)
     path = write_planning_cost(tmp_path / "cost.json", cost, dynamics)
     found = read_planning_cost(path, dynamics)
     np.testing.assert_array_equal(found.weights, cost.weights)
     np.testing.assert_array_equal(found.efforts, cost.efforts)
     assert found.solver == CONVERGED
+    assert found.limits == limits
     content = json.loads(path.read_text())
     assert (content["unit"], content["rate"]) == ("half an image", 1.0)
     path.write_text(json.dumps(content | {"joints": 6}))
     with pytest.raises(FileError, match="6 joints; the dynamics have 4 keypoints and 7 joints"):
+        read_planning_cost(path, dynamics)
+    path.write_text(json.dumps(content | {"limits": content["limits"] | {"lower": [0.0]}}))
+    with pytest.raises(FileError, match="limits of 1 joints"):
         read_planning_cost(path, dynamics)
     path.write_text("{}")
     with pytest.raises(FileError, match="not a cost over detected keypoints"):
         read_planning_cost(path, dynamics)
 
 
-def test_a_plan_begins_where_a_recording_of_the_arm_does(placing, tmp_path):
+def test_a_plan_begins_where_a_recording_of_the_arm_does(placing, tmp_path, capsys):
     recording = Placing(steps=1).record(np.random.default_rng(3))
     path = tmp_path / "arm.npz"
     np.savez(
@@ -91,7 +111,11 @@ def test_a_plan_begins_where_a_recording_of_the_arm_does(placing, tmp_path):
         },
     )
     words = [*MODELS, "--recording", str(path), "--steps", "10", "--iterations", "3", "--out", str(tmp_path)]
+    assert run(["learn-video", str(placing), *words, "--robot", "ur5"]) == 2
+    assert "ur5 has 6 joints, the dynamics have 7" in capsys.readouterr().err
     assert run(["learn-video", str(placing), *words]) in (0, 1)
+    content = json.loads((tmp_path / "cost.json").read_text())
+    assert content["robot"] is content["limits"] is None  # the recording does not name its arm
     plan = read_episode(tmp_path / "plan.npz", Plan)
     assert isinstance(recording, ArmRecording)
     np.testing.assert_allclose(plan.joints[0], recording.joints[0], atol=1e-12)

@@ -1,7 +1,9 @@
 """Videos as phones make them, folders of pictures as people number them, and what is said of files that are none."""
 
 import struct
+from collections import deque
 from fractions import Fraction
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ import av
 import cv2
 
 from kpirl_ocp.errors import FileError
+from kpirl_ocp.perception.data import decoding, video
 from kpirl_ocp.perception.data.clips import read_videos
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.video import iterate_frames, read_demonstration, sample_indices, sampled, sampled_frames
@@ -252,3 +255,46 @@ def test_a_video_is_not_told_its_frame_rate(tmp_path):
     path = film(tmp_path / "clip.mp4", "libx264", "yuv420p", [picture()] * 3)
     with pytest.raises(FileError, match="times of its own"):
         read_demonstration(path, source_rate=30)
+
+
+# Sizes, before memory is taken
+
+
+def gif(width, height):
+    """One frame of one pixel on a canvas of any size."""
+    canvas = b"GIF89a" + struct.pack("<2H", width, height) + b"\x80\0\0" + b"\0\0\0\xff\xff\xff"
+    return canvas + b"\x2c" + struct.pack("<4H", 0, 0, 1, 1) + b"\0\x02\x02\x44\x01\0" + b"\x3b"
+
+
+def test_a_film_whose_header_announces_huge_frames_is_refused(tmp_path):
+    path = tmp_path / "huge.gif"
+    path.write_bytes(gif(20_000, 20_000))
+    with pytest.raises(FileError, match="more than 89 million pixels"):
+        next(iterate_frames(path))
+    path.write_bytes(gif(20, 10))
+    assert next(iterate_frames(path))[1].shape == (10, 20, 3)
+
+
+def test_frames_that_are_too_large_once_their_pixels_are_square_are_refused_by_their_header(tmp_path, monkeypatch):
+    path = film(tmp_path / "dv.mp4", "libx264", "yuv420p", [picture()] * 3, aspect=Fraction(4, 3))
+    monkeypatch.setattr(decoding, "_MOST_PIXELS", 85 * HEIGHT)
+    assert next(iterate_frames(path))[1].shape == (HEIGHT, 85, 3)
+    monkeypatch.setattr(decoding, "_MOST_PIXELS", 85 * HEIGHT - 1)
+    with pytest.raises(FileError, match="85 x 48 pixels; at most"):
+        next(iterate_frames(path))
+
+
+def test_a_pause_of_years_between_two_frames_is_not_filled(tmp_path):
+    path = film(tmp_path / "pause.mkv", "libx264", "yuv420p", [grey(10), grey(20)], times=[0, 30 * 10**7])
+    frames = sampled_frames(path, 5.0)
+    assert len(list(islice(frames, 1000))) == 1000
+    with pytest.raises(FileError, match="5 cannot be taken from it"):
+        deque(islice(frames, 1000))
+
+
+def test_a_film_that_does_not_fit_into_memory_is_refused_while_it_is_read(tmp_path, monkeypatch):
+    path = film(tmp_path / "long.mp4", "libx264", "yuv420p", [picture()] * 60)
+    assert read_demonstration(path, rate=30, size=16).shape == (60, 16, 16, 3)
+    monkeypatch.setattr(video, "LARGEST", 40 * 16 * 16 * 3)
+    with pytest.raises(FileError, match="too long"):
+        read_demonstration(path, rate=30, size=16)

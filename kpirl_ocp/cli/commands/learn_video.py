@@ -40,7 +40,7 @@ def main(args: Namespace) -> int:
         return imitate(args, part)
     steps = part.at_rate(args.steps / float(part.times[-1]))
     scale = Scale(args.scale, args.object_size or BOTTLE_LENGTH, length)
-    arm, way = arm_for(args.robot, args.flange, steps.positions, scale)
+    arm, way = arm_for(args.robot or "iiwa", args.flange, steps.positions, scale)
     learned = _learn(args, arm, way, args.steps / float(part.times[-1]))
     runs = [execute(arm, learned, way, start) for start in other_starts(arm, args.starts, args.seed)]
     _report(args, learned, runs)
@@ -57,7 +57,7 @@ def _check(args: Namespace) -> None:
         raise OptionError("--dynamics: needs --detector, the one through which the dynamics were learned")
     if args.recording and not args.dynamics:
         raise OptionError("--recording: needs --dynamics, learned from such recordings")
-    if args.dynamics and args.robot != "iiwa" and not args.recording:
+    if args.dynamics and args.robot not in (None, "iiwa") and not args.recording:
         raise OptionError("--robot: not with --dynamics, whose arm is that of --recording, or the iiwa in the scene")
 
 

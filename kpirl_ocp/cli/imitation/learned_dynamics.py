@@ -7,26 +7,33 @@ it is the iiwa of the scene, which also does it.
 from __future__ import annotations
 
 from argparse import Namespace
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from kpirl_ocp import figures
+from kpirl_ocp.cli.imitation.arm import LARGEST_STEP
 from kpirl_ocp.episodes import KeypointTrack, stored, write_episode
 from kpirl_ocp.errors import OptionError
+from kpirl_ocp.irl.cases.cost_files import robot_called
 from kpirl_ocp.irl.cases.planar_arm import planar_dynamics
 from kpirl_ocp.irl.learning.learn import LearningResult
 from kpirl_ocp.irl.visual.camera_learning import learn_on, path_distance
 from kpirl_ocp.irl.visual.closed_loop import KeypointController
 from kpirl_ocp.irl.visual.demonstrations import positions, transferred_demonstration
 from kpirl_ocp.irl.visual.learning import CONVERGED
-from kpirl_ocp.irl.visual.planning_costs import PlanningCost, read_planning_cost, write_planning_cost
+from kpirl_ocp.irl.visual.planning_costs import (
+    ArmLimits,
+    PlanningCost,
+    limited_network_ocp,
+    read_planning_cost,
+    write_planning_cost,
+)
 from kpirl_ocp.ocp.export.folder import export_c
 from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
 from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, TimeDependent
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
-from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 from kpirl_ocp.perception.data.recordings import read_arm_film
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.keypoints import to_pixels
@@ -98,14 +105,29 @@ def _cost(
         cost = read_planning_cost(args.cost, dynamics)
         if cost.horizon != horizon:
             raise OptionError(f"--cost: {args.cost} has T = {cost.horizon}, --steps says {horizon}")
+        if args.robot and cost.limits and cost.limits.robot != args.robot:
+            raise OptionError(f"--cost: {args.cost} is for the robot {cost.limits.robot!r}, not {args.robot!r}")
         return cost, None
     family = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
-    problem = network_ocp(dynamics, family, horizon)
+    limits = _limits(args, dynamics)
+    problem = limited_network_ocp(dynamics, family, horizon, limits)
     psi0 = family.initial(horizon, dynamics.n_z, np.full((horizon, dynamics.n_z), 10.0))
     history = learn_on(problem, demonstration, psi0, args.iterations)
-    cost = PlanningCost.of(family, history.psi, horizon, dynamics.n_z, CONVERGED)
+    cost = replace(PlanningCost.of(family, history.psi, horizon, dynamics.n_z, CONVERGED), limits=limits)
     print(f"cost:    {write_planning_cost(args.out / 'cost.json', cost, dynamics)}")
     return cost, history
+
+
+def _limits(args: Namespace, dynamics: NetworkDynamics) -> ArmLimits | None:
+    """The arm and its limits; None for recordings of an arm that is not named."""
+    if args.robot is None and args.recording:
+        return None
+    name = args.robot or "iiwa"
+    robot = robot_called(name)
+    if robot.n_joints != dynamics.n_joints:
+        raise OptionError(f"--robot: {name} has {robot.n_joints} joints, the dynamics have {dynamics.n_joints}")
+    lower, upper = (tuple(row.tolist()) for row in robot.joint_limits)
+    return ArmLimits(name, lower, upper, LARGEST_STEP)
 
 
 def _distance(path: Array, demonstration: Demonstration) -> float:

@@ -29,7 +29,9 @@ def add_options(parser: ArgumentParser) -> None:
     which.add_argument("--tracks", type=existing_file, help=".npz or .csv with tracks of the object's keypoints")
     which.add_argument("--detector", type=existing_file, help="card of a trained keypoint detector")
     arm = parser.add_argument_group("the arm")
-    arm.add_argument("--robot", default="iiwa", help="iiwa (default), a name of example-robot-data, or a .urdf file")
+    arm.add_argument(
+        "--robot", help="iiwa (default), a name of example-robot-data, or a .urdf file; of --recording, too"
+    )
     arm.add_argument("--flange", metavar="LINK", help="that holds the bottle (default: the arm's tool)")
     size = arm.add_mutually_exclusive_group()
     size.add_argument("--object-size", type=real(above=0), help="its length [m] (default: 0.25, the arm's bottle)")

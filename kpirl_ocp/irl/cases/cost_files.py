@@ -21,6 +21,7 @@ from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.sizes import read_json
 from kpirl_ocp.types import Array
 
+VISUAL = "kpirl_ocp.visual_cost"  # another kind of cost.json: over detected keypoints, with learned dynamics
 BASES: dict[str, type] = {"weighted": Weighted, "time": TimeDependent, "rbf": RBF, "default": Default}
 SOLVERS: dict[str, type] = {"gradient_descent": GradientDescent, "riccati": Riccati, "ipopt": Ipopt}
 
@@ -124,6 +125,11 @@ class LearnedCost:
         """
         try:
             content = read_json(path)
+            if content.get("kind") == VISUAL:
+                raise FileError(
+                    f"{path} is a cost over detected keypoints: plan with it, and export it, by\n"
+                    f"    kpirl learn-video FILM --detector CARD --dynamics CARD --cost {path} [--export]"
+                )
             effort = content["effort"]
             cost = KeypointCost(
                 basis=_build(BASES, content["basis"]),
@@ -141,7 +147,7 @@ class LearnedCost:
             )
         except FileNotFoundError:
             raise FileError(f"{path} does not exist: learn a cost with `kpirl learn`.") from None
-        except (KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise FileError(f"{path} is not a learned cost: {error!r}.") from error
 
 

@@ -79,7 +79,7 @@ class KeypointController:
         cls, dynamics: NetworkDynamics, cost: PlanningCost, closed_loop: bool = True, confidence: float = 0.0
     ) -> KeypointController:
         """A controller with the problem that it needs."""
-        return cls(planning_problem(dynamics, cost.horizon), dynamics, cost, closed_loop, confidence)
+        return cls(planning_problem(dynamics, cost.horizon, cost.limits), dynamics, cost, closed_loop, confidence)
 
     def plan(
         self, state: Array, goal: Array, steps_taken: int = 0, guess: Solution | Trajectory | None = None

@@ -11,12 +11,13 @@ import json
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import FileError, ProblemError
-from kpirl_ocp.irl.cases.cost_files import solver_as_json, solver_of_json
+from kpirl_ocp.irl.cases.cost_files import VISUAL, solver_as_json, solver_of_json
 from kpirl_ocp.ocp.models.keypoint_costs import Default, KeypointCost, TimeDependent
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
@@ -26,7 +27,19 @@ from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.sizes import read_json
 from kpirl_ocp.types import Array
 
-_KIND = "kpirl_ocp.visual_cost"
+
+@dataclass(frozen=True)
+class ArmLimits:
+    """An arm and the limits that its plans keep.
+
+    robot: "iiwa", a name of example-robot-data, or the path of a URDF. lower, upper: of n_joints joints [rad].
+    max_displacement: |u| per step and joint [rad].
+    """
+
+    robot: str
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    max_displacement: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +47,13 @@ class PlanningCost:
     """A cost and the solver it was learned with, whose number of gradient steps is part of the cost.
 
     weights: W (T, n_z), row t-1 for z_t. efforts: rho (T,), of u_0 .. u_{T-1}.
+    limits: of the arm; None where they are not known, or the solver knows no bounds.
     """
 
     weights: Array
     efforts: Array
     solver: Solver
+    limits: ArmLimits | None = None
 
     @classmethod
     def of(cls, cost: KeypointCost, psi: ArrayLike, horizon: int, n_observations: int, solver: Solver) -> PlanningCost:
@@ -73,9 +88,11 @@ class PlanningCost:
 
 
 def write_planning_cost(path: Path, cost: PlanningCost, dynamics: NetworkDynamics) -> Path:
-    """Write a JSON file with the cost, and the keypoints, joints and rate of the dynamics it was learned with."""
+    """Write a JSON file: the cost, its arm with limits, and keypoints, joints and rate of the dynamics."""
     content = {
-        "kind": _KIND,
+        "kind": VISUAL,
+        "robot": None if cost.limits is None else cost.limits.robot,
+        "limits": None if cost.limits is None else _limits_as_json(cost.limits),
         "keypoints": dynamics.n_z // 2,
         "unit": "half an image",
         "joints": dynamics.n_joints,
@@ -97,21 +114,58 @@ def read_planning_cost(path: Path, dynamics: NetworkDynamics) -> PlanningCost:
         content = read_json(path)
         kind = content["kind"]
         cost = PlanningCost(
-            np.array(content["weights"], float), np.array(content["efforts"], float), solver_of_json(content["solver"])
+            np.array(content["weights"], float),
+            np.array(content["efforts"], float),
+            solver_of_json(content["solver"]),
+            _limits_of_json(content.get("robot"), content.get("limits")),
         )
         sizes = content["keypoints"], content["joints"]
     except (KeyError, TypeError, ValueError) as error:
         raise FileError(f"{path} is not a cost over detected keypoints: {error!r}.") from error
-    if kind != _KIND or cost.weights.shape != (len(cost.efforts), 2 * sizes[0]):
+    if kind != VISUAL or cost.weights.shape != (len(cost.efforts), 2 * sizes[0]):
         raise FileError(f"{path} is not a cost over detected keypoints.")
     if sizes != (dynamics.n_z // 2, dynamics.n_joints):
         needed = f"{dynamics.n_z // 2} keypoints and {dynamics.n_joints} joints"
         raise FileError(f"{path} is for {sizes[0]} keypoints and {sizes[1]} joints; the dynamics have {needed}.")
+    if cost.limits is not None and len(cost.limits.lower) != dynamics.n_joints:
+        raise FileError(f"{path} has limits of {len(cost.limits.lower)} joints; the dynamics have {dynamics.n_joints}.")
     return cost
 
 
+def _limits_as_json(limits: ArmLimits) -> dict[str, Any]:
+    """null stands for no limit."""
+    rows = {"lower": limits.lower, "upper": limits.upper}
+    content: dict[str, Any] = {name: [_finite(value) for value in row] for name, row in rows.items()}
+    return content | {"unit": "rad", "max_displacement": _finite(limits.max_displacement)}
+
+
+def _limits_of_json(robot: str | None, content: dict[str, Any] | None) -> ArmLimits | None:
+    if robot is None or content is None:
+        return None
+    lower, upper = (
+        tuple(sign * np.inf if value is None else float(value) for value in content[name])
+        for name, sign in (("lower", -1), ("upper", 1))
+    )
+    most = content["max_displacement"]
+    return ArmLimits(robot, lower, upper, np.inf if most is None else float(most))
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
 @lru_cache(maxsize=8)
-def planning_problem(dynamics: NetworkDynamics, horizon: int) -> OCP:
-    """Plan with any `PlanningCost`; context is z_goal (n_z,)."""
+def planning_problem(dynamics: NetworkDynamics, horizon: int, limits: ArmLimits | None = None) -> OCP:
+    """Plan with any `PlanningCost`, within the limits of its arm; context is z_goal (n_z,)."""
     family = KeypointCost(TimeDependent(), effort=(0.0,) * horizon, learn_effort=True)
-    return network_ocp(dynamics, family, horizon)
+    return limited_network_ocp(dynamics, family, horizon, limits)
+
+
+def limited_network_ocp(
+    dynamics: NetworkDynamics, cost: KeypointCost, horizon: int, limits: ArmLimits | None = None
+) -> OCP:
+    """`network_ocp` within the limits of an arm."""
+    if limits is None:
+        return network_ocp(dynamics, cost, horizon)
+    bounds = np.array(limits.lower), np.array(limits.upper)
+    return network_ocp(dynamics, cost, horizon, joint_limits=bounds, max_displacement=limits.max_displacement)

@@ -20,13 +20,17 @@ VIDEO_SUFFIXES = (
 )
 
 
+_MOST_PIXELS = 89_478_485  # of a frame, as Pillow reads pictures; 8K has 33 million
+
+
 def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.uint8]]]:
     """Time [s] since the first frame and image (H, W, 3) RGB of every frame up to the time `end`.
 
     The rotation that a phone notes in the file is applied. What comes after `end` may be missing or damaged.
 
     Raises:
-        FileError: the file is missing, no video, of an unknown codec, damaged or incomplete.
+        FileError: the file is missing, no video, of an unknown codec, damaged or incomplete, or its frames have more
+            than 89 million pixels; that is looked up before memory is taken.
     """
     if not path.is_file():
         raise FileError(f"there is no video {path}.")
@@ -46,8 +50,12 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
                 longest = max(longest, period)
                 if time > end + 1e-6:
                     return
-                yield time, _upright(frame, stream)
+                yield time, _upright(frame, path, stream)
         except av.error.FFmpegError as error:
+            if not stream.codec_context.width:  # its size is in no header but the frame's
+                raise FileError(
+                    f"{path} is damaged, or its frames have more than {_MOST_PIXELS / 1e6:.0f} million pixels."
+                ) from error
             raise FileError(
                 f"{path} is damaged or incomplete after {time:.2f} of {promised:.2f} s: copy it again, or end before."
             ) from error
@@ -82,6 +90,9 @@ def _open(path: Path) -> tuple[av.container.InputContainer, av.VideoStream]:
             f"{path}: its codec {codec!r} cannot be decoded here. Convert it with\n"
             f"    ffmpeg -i {path.name} -c:v libx264 -pix_fmt yuv420p {path.stem}-h264.mp4"
         )
+    context = streams[0].codec_context
+    _square_size(path, context.width, context.height, streams[0])
+    context.options = {"max_pixels": str(_MOST_PIXELS)}  # frames may be larger than the header says
     return container, streams[0]
 
 
@@ -94,9 +105,22 @@ def _promised_seconds(container: av.container.InputContainer, stream: av.VideoSt
     return float(max(counted, timed, whole))
 
 
-def _upright(frame: av.VideoFrame, stream: av.VideoStream) -> NDArray[np.uint8]:
-    """The frame as (H, W, 3) RGB, its pixels made square by widening or heightening it, and turned upright."""
+def _square_size(path: Path, width: int, height: int, stream: av.VideoStream) -> tuple[int, int]:
+    """Width and height of a frame whose pixels are made square by widening or heightening it.
+
+    Raises FileError if it is too large.
+    """
     aspect = float(stream.sample_aspect_ratio or stream.codec_context.sample_aspect_ratio or 1)
-    width, height = round(frame.width * max(1.0, aspect)), round(frame.height * max(1.0, 1 / aspect))
+    wide, high = round(width * max(1.0, aspect)), round(height * max(1.0, 1 / aspect))
+    if wide * high > _MOST_PIXELS:
+        raise FileError(
+            f"{path} has frames of {wide} x {high} pixels; at most {_MOST_PIXELS / 1e6:.0f} million pixels are read."
+        )
+    return wide, high
+
+
+def _upright(frame: av.VideoFrame, path: Path, stream: av.VideoStream) -> NDArray[np.uint8]:
+    """The frame as (H, W, 3) RGB, with square pixels, and turned upright."""
+    width, height = _square_size(path, frame.width, frame.height, stream)
     image = frame.reformat(width, height, "rgb24").to_ndarray()
     return np.ascontiguousarray(np.rot90(image, round(frame.rotation / 90)))

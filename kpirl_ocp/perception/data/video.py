@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from kpirl_ocp.errors import FileError
 from kpirl_ocp.perception.data.decoding import decode
 from kpirl_ocp.perception.data.pictures import iterate_pictures
+from kpirl_ocp.sizes import LARGEST
 from kpirl_ocp.types import Indices
 
 Frames = NDArray[np.uint8]  # (n, H, W, 3) RGB
 
 _REPEATED = 0.1  # share of the samples that may show the same frame as the one before
+_PAUSE = 1000  # so many may in any case, before the rest is read: times in a file are what its maker wrote
 
 T = TypeVar("T")
 
@@ -84,6 +86,8 @@ def sampled_frames(
     frames = _noting(iterate_frames(path, source_rate=source_rate, longest=longest, end=end), times)
     for time, image in sampled(frames, rate, start):
         count, repeated, last = count + 1, repeated + (time == last), time
+        if repeated > max(_PAUSE, _REPEATED * count):
+            break
         yield time, image
     if not count:
         raise FileError(f"{path} ends after {times[-1]:.2f} s; there is nothing from {start:g} s on.")
@@ -97,9 +101,14 @@ def read_demonstration(
 ) -> Frames:
     """Frames (n, size, size, 3) of a video or a folder of pictures at `rate` [Hz], cropped to a square in the middle.
 
-    source_rate: [Hz] of a folder of pictures. Raises FileError as `sampled_frames`.
+    source_rate: [Hz] of a folder of pictures. Raises FileError as `sampled_frames`, and for more than 2 GiB of frames.
     """
-    return np.array([_square(image, size) for _, image in sampled_frames(path, rate, source_rate=source_rate)])
+    frames: list[Frames] = []
+    for _, image in sampled_frames(path, rate, source_rate=source_rate):
+        frames.append(_square(image, size))
+        if len(frames) * frames[0].nbytes > LARGEST:
+            raise FileError(f"{path} is too long: its frames take more than 2 GiB. Use a part of it, or a lower rate.")
+    return np.array(frames)
 
 
 def sample_indices(count: int, source_rate: float, rate: float) -> Indices:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,17 @@ from kpirl_ocp.perception.detector.training import resize
 from kpirl_ocp.types import Array
 
 _BATCH = 64
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Context in which torch uses one thread, because the last digits of its sums depend on their number."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 @dataclass(frozen=True)
@@ -84,6 +96,7 @@ class KeypointDetector:
         nothing = np.empty((0, self.model.head.out_channels, 3))
         return np.concatenate([nothing, *(self._detect(batch) for batch in batches)])
 
+    @one_thread()
     @torch.inference_mode()
     def _detect(self, images: Frames) -> Array:
         scores = self._scores(images)
@@ -92,6 +105,7 @@ class KeypointDetector:
             keypoints[..., 2] = self.confidence.of(scores)
         return keypoints.double().numpy()
 
+    @one_thread()
     @torch.inference_mode()
     def _peaks(self, images: Frames) -> Array:
         """Largest score (n, K) over the cells."""
