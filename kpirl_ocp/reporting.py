@@ -1,10 +1,12 @@
-"""The written results of commands and scripts: settings and versions beside the numbers, tables."""
+"""The written results of commands and scripts: settings and versions beside the numbers, tables; Ctrl-C keeps them."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import platform
+import signal
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -35,6 +37,23 @@ def kept_if_interrupted(
     except KeyboardInterrupt:
         path = write_metrics(directory, settings, results)
         raise KeyboardInterrupt(f"{progress()} are in {path}") from None
+
+
+@contextlib.contextmanager
+def deaf_children() -> Iterator[None]:
+    """A block in which processes start that never hear Ctrl-C or SIGTERM: they are for this one, which kills them.
+
+    Ignoring is what they inherit, so that this process does not hear them either while they start.
+    """
+    if threading.current_thread() is not threading.main_thread():  # which alone may say so
+        yield
+        return
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _version(package: str) -> str:

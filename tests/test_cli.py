@@ -1,12 +1,15 @@
 """The command `kpirl`: wrong input is one sentence, options come from files, own problems are solved."""
 
+import contextlib
 import json
 import os
 import re
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import fields
+from pathlib import Path
 
 import pytest
 import yaml
@@ -63,9 +66,11 @@ def broken():
     return 1 / 0
 '''
 
+KPIRL = [sys.executable, str(Path(kpirl_ocp.__file__).with_name("cli"))]  # -m: of the working directory
+
 
 def kpirl(*words, cwd=None):
-    command = [sys.executable, "-m", "kpirl_ocp.cli", *map(str, words)]
+    command = [*KPIRL, *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=cwd)
 
 
@@ -352,23 +357,50 @@ def test_quiet_prints_nothing(words, tmp_path):
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
 
 
-def interrupted(words, tmp_path, sign, by=signal.SIGINT):
-    """Exit code, and lines on stderr but for progress, of a command that gets a signal when `sign` is seen there."""
-    command = [sys.executable, "-m", "kpirl_ocp.cli", *words, "--out", str(tmp_path)]
+def interrupted(words, tmp_path, sign, by=signal.SIGINT, to=os.killpg):
+    """Exit code, and lines on stderr but for progress, of a command that gets a signal when `sign` is seen there.
+
+    to: os.killpg, as a terminal sends it to the workers as well, or os.kill. Nothing may be left behind.
+    """
+    command = [*KPIRL, *words, "--out", str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
     seen = b""
     while sign not in seen and process.poll() is None:
         seen += os.read(process.stderr.fileno(), 4096)
-    os.killpg(process.pid, by)  # a terminal sends it to the workers as well
+    to(process.pid, by)
     _, rest = process.communicate(timeout=120)
     lines = (seen + rest).decode().replace("\r", "\n").splitlines()
+    assert left_behind(process.pid) == []
     return process.returncode, [line for line in lines if line and "it/s" not in line and "%|" not in line]
 
 
-@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
-def test_interrupted_learning_keeps_the_best_cost(by, tmp_path):
+def left_behind(session):
+    """The command lines of a session's processes, once they have had time to end."""
+    deadline = time.monotonic() + 30
+    while (found := list(running(session))) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return found
+
+
+def running(session):
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            state, _, _, its = (process / "stat").read_text().rpartition(")")[2].split()[:4]
+            if int(its) == session and state != "Z":
+                yield (process / "cmdline").read_text().replace("\0", " ")
+
+
+SIGNALS = pytest.mark.parametrize(
+    ("by", "to"),
+    [(signal.SIGINT, os.killpg), (signal.SIGTERM, os.killpg), (signal.SIGTERM, os.kill)],
+    ids=["Ctrl-C", "SIGTERM to all", "SIGTERM"],
+)
+
+
+@SIGNALS
+def test_interrupted_learning_keeps_the_best_cost(by, to, tmp_path):
     words = ["learn", "--steps", "1000000", "--task", "reaching"]
-    code, (line,) = interrupted(words, tmp_path, b"best=", by)
+    code, (line,) = interrupted(words, tmp_path, b"best=", by, to)
     assert code == 130
     pattern = rf"interrupted: the best cost of (\d+) iterations is in {tmp_path}/cost.json; the same command goes on."
     taken = int(re.fullmatch(pattern, line).group(1))
@@ -382,21 +414,22 @@ def test_interrupted_learning_keeps_the_best_cost(by, tmp_path):
     assert len(losses) == taken + 3
 
 
-def test_an_interrupted_comparison_keeps_what_was_measured(tmp_path):
+@SIGNALS
+def test_an_interrupted_comparison_keeps_what_was_measured(by, to, tmp_path):
     words = ["compare", "--problem", "lqr", "--steps", "1", "2", "3", "4", "5"]
-    code, (line,) = interrupted(words, tmp_path, b"| 1/17")
+    code, (line,) = interrupted(words, tmp_path, b"| 1/17", by, to)
     assert code == 130
     kept = re.fullmatch(rf"interrupted: (\d+) of 17 measurements are in {tmp_path}/metrics.json.", line).group(1)
     results = json.loads((tmp_path / "metrics.json").read_text())["results"]
     assert len(results["measurements"]) == int(kept) >= 1
 
 
-@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_collection_keeps_its_episodes_and_goes_on(by, tmp_path):
+@SIGNALS
+def test_an_interrupted_collection_keeps_its_episodes_and_goes_on(by, to, tmp_path):
     for package in ("cv2", "pybullet", "torch"):
         pytest.importorskip(package)
     words = ["collect", "keypoints", "--frames", "2", "--episodes", "40"]
-    code, lines = interrupted(words, tmp_path, b"| 1/40", by)
+    code, lines = interrupted(words, tmp_path, b"| 1/40", by, to)
     assert code == 130
     assert lines == [f"interrupted: finished episodes are in {tmp_path}; the same command goes on."]
     assert 1 <= len(list(tmp_path.glob("episode_*.npz"))) < 40

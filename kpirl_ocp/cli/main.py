@@ -8,15 +8,14 @@ from __future__ import annotations
 import contextlib
 import inspect
 import os
-import signal
 import sys
 import tempfile
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 
 from kpirl_ocp.cli.parser import Parser, build_parser, write_config
+from kpirl_ocp.cli.signals import stoppable
 from kpirl_ocp.errors import DependencyError, KpirlError, OptionError
 from kpirl_ocp.spelling import suggestion
 from kpirl_ocp.version import __version__
@@ -114,7 +113,7 @@ def _read_and_work(parser: Parser, words: list[str], module: str) -> int:
     except SystemExit:  # after --help
         return 0
     prepare_directory(args.out)
-    with _hushed(args.quiet), _terminable():
+    with _hushed(args.quiet), stoppable():
         try:
             code, stopped = import_module(module).main(args) or 0, None
         except KeyboardInterrupt as stop:
@@ -125,19 +124,6 @@ def _read_and_work(parser: Parser, words: list[str], module: str) -> int:
     if stopped:
         print(f"\ninterrupted: {stopped}.", file=sys.stderr)
     return code
-
-
-@contextlib.contextmanager
-def _terminable() -> Iterator[None]:
-    """A block in which SIGTERM, as schedulers of clusters send it, does what Ctrl-C does."""
-    if threading.current_thread() is not threading.main_thread():  # which alone may say so
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _missing(program: str, error: ModuleNotFoundError) -> Exception:

@@ -127,7 +127,7 @@ def _unrolled(case: Case) -> Curve:
     optimiser = Adam(settings.learning_rate)
     result = learn(
         problem, case.train, case.start, Unrolled(settings.inner), optimiser, settings.iterations, progress=False
-    )
+    ).raise_if_interrupted()
     return case.curve(problem, settings.inner, result.psis, float(result.seconds[-1]))
 
 
@@ -137,7 +137,9 @@ def _to_the_letter(case: Case) -> Curve:
     solver, start = GradientDescent(1, settings.printed_step_size), np.full_like(case.start, settings.printed_start)
     iterations = min(settings.printed_iterations, settings.iterations * settings.printed_stride)
     optimiser = Descent(settings.printed_rate)
-    result = learn(problem, case.train, start, Unrolled(solver), optimiser, iterations, progress=False)
+    result = learn(
+        problem, case.train, start, Unrolled(solver), optimiser, iterations, progress=False
+    ).raise_if_interrupted()
     return case.curve(problem, solver, result.psis[:: settings.printed_stride], float(result.seconds[-1]))
 
 
@@ -146,7 +148,9 @@ def _implicit(case: Case, effort: float | tuple[float, ...]) -> Curve:
     cost = KeypointCost(Weighted(), effort=effort, learn_effort=True, positivity="softplus")
     problem = keypoint_ocp(case.robot, cost, settings.horizon)
     psi0 = cost.initial(settings.horizon, len(case.start), case.start)
-    result = learn(problem, case.train, psi0, Implicit(), LBFGS(), settings.iterations, progress=False)
+    result = learn(
+        problem, case.train, psi0, Implicit(), LBFGS(), settings.iterations, progress=False
+    ).raise_if_interrupted()
     return case.curve(problem, Riccati(), result.psis, float(result.seconds[-1]))
 
 

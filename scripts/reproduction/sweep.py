@@ -27,6 +27,7 @@ from tqdm import tqdm
 import kpirl_ocp
 from kpirl_ocp.episodes import atomic_write, check_archive
 from kpirl_ocp.errors import DependencyError, FileError, ProblemError
+from kpirl_ocp.reporting import deaf_children
 
 Result = dict[str, Any]
 # What jobs are made of: workers elsewhere have the package installed, but not these, and are sent them.
@@ -116,7 +117,12 @@ def _loky(address: str | None, workers: int) -> Iterator[Runner]:
 def with_joblib(workers: int) -> Runner:
     """Processes on this machine, or where joblib is configured to run."""
     parallel = joblib.Parallel(workers, return_as="generator_unordered")
-    return lambda jobs: parallel(joblib.delayed(_call)(job) for job in jobs)
+
+    def run(jobs: Sequence[Job]) -> Iterator[tuple[str, Result]]:
+        with deaf_children():
+            return parallel(joblib.delayed(_call)(job) for job in jobs)
+
+    return run
 
 
 @contextlib.contextmanager
@@ -130,7 +136,7 @@ def _dask(address: str | None, workers: int) -> Iterator[Runner]:
         client = stack.enter_context(Client(address))
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         client.upload_file(str(zip_scripts(directory / "kpirl_scripts.zip")))
-        stack.enter_context(joblib.parallel_config("dask"))
+        stack.enter_context(joblib.parallel_config("dask", wait_for_workers_timeout=60))
         yield with_joblib(workers)
 
 

@@ -65,25 +65,19 @@ def main(args: Namespace) -> None:
     exact, agreement = reference(case)
     print(f"{source}: {len(exact)} parameters; finite differences agree with the reference to {agreement:.1e}")
     results = {"reference": exact, "finite_difference_agreement": agreement, "step_size": case.step_size}
-    measurements = measure(source, args, results)
-    header = ["method", "N", "relative error", "time [ms]", "memory [MB]", "certificate"]
-    print("\n" + table(header, [as_row(m, agreement) for m in measurements]) + "\n")
+    measurements: list[Measurement] = []
+    total = len(list(methods(case, args.steps)))
+    with kept_if_interrupted(args.out, vars(args), results, lambda: f"{len(measurements)} of {total} measurements"):
+        for measurement in tqdm(measure_all(source, args.steps, exact), "measuring", total, unit="method"):
+            measurements.append(measurement)
+            results["measurements"] = [asdict(m) for m in measurements]
+        header = ["method", "N", "relative error", "time [ms]", "memory [MB]", "certificate"]
+        print("\n" + table(header, [as_row(m, agreement) for m in measurements]) + "\n")
 
-    some = [n for n in args.steps if n in (min(args.steps), max(args.steps), args.steps[len(args.steps) // 2])]
-    learning = learn_with_each(case, some, args.iterations, args.learning_rate)
+        some = [n for n in args.steps if n in (min(args.steps), max(args.steps), args.steps[len(args.steps) // 2])]
+        learning = learn_with_each(case, some, args.iterations, args.learning_rate)
     rows = [[name, r.losses[0], r.loss, f"{r.seconds[-1]:.2f}"] for name, r in learning.items()]
     print(table(["learning with", "first IRL loss", "best IRL loss", "time [s]"], rows))
     results["learning"] = {name: {"losses": r.losses, "seconds": r.seconds} for name, r in learning.items()}
     print(f"\nnumbers: {write_metrics(args.out, vars(args), results)}")
     print(f"figure:  {draw(measurements, learning, agreement, args.out / 'hypergradients.png')}")
-
-
-def measure(source: str, args: Namespace, results: dict[str, object]) -> list[Measurement]:
-    """Measure all methods into `results`; interrupted, write those that are done."""
-    exact, done = np.asarray(results["reference"]), list[Measurement]()
-    total = len(list(methods(case_of(source), args.steps)))
-    with kept_if_interrupted(args.out, vars(args), results, lambda: f"{len(done)} of {total} measurements"):
-        for measurement in tqdm(measure_all(source, args.steps, exact), "measuring", total, unit="method"):
-            done.append(measurement)
-            results["measurements"] = [asdict(m) for m in done]
-    return done

@@ -32,6 +32,14 @@ def main(args: Namespace) -> int:
     _check(args)
     film = Film(args.film, args.source_rate if args.film.is_dir() else None, args.start, args.end or np.inf)
     tracks, length = _watch(args, film)
+    try:
+        return _imitate(args, film, tracks, length)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"the tracks are in {args.out / 'tracks.npz'}, for --tracks") from None
+
+
+def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) -> int:
+    """Learn and execute; length: of the object [pixels], where it is known."""
     print(f"sheet:   {track_sheet(args.out / 'tracks.png', film.frames(), tracks, evenly(_SHOWN, len(tracks.times)))}")
     print(f"tracks:  {track_film(args.out / 'tracks.mp4', film.frames(), tracks)}")
     _admit(args.out, film, tracks)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from joblib.externals.loky import ProcessPoolExecutor
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.examples import CASES, Case, converging_descent, unconstrained
@@ -26,6 +24,7 @@ from kpirl_ocp.irl.learning.optimisers import Adam
 from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
+from kpirl_ocp.reporting import deaf_children
 from kpirl_ocp.types import Array, Demonstration
 
 TRUNCATION = 10  # steps that Truncated goes back
@@ -108,9 +107,13 @@ def relative_error(gradient: Array, exact: Array) -> float:
 def measure_all(source: str, steps: list[int], exact: Array) -> Iterator[Measurement]:
     """Measure every method on a problem (see `case_of`), each in a process of its own; exact: the reference."""
     for index in range(len(list(methods(case_of(source), steps)))):
-        spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(1, spawn, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:  # Ctrl-C is for us
-            yield pool.submit(_measure, source, steps, index, exact).result()
+        pool = ProcessPoolExecutor(1)
+        try:
+            with deaf_children():
+                measured = pool.submit(_measure, source, steps, index, exact)
+            yield measured.result()
+        finally:
+            pool.shutdown(kill_workers=True)
 
 
 def _measure(source: str, steps: list[int], index: int, exact: Array) -> Measurement:
@@ -156,5 +159,5 @@ def learn_with_each(case: Case, steps: list[int], iterations: int, learning_rate
     for label, method in contenders.items():
         method(case.problem, case.demonstration, case.psi)  # build outside the clock
         arguments = (case.problem, [case.demonstration], case.psi, method, Adam(learning_rate), iterations)
-        results[label] = learn(*arguments, progress=False)
+        results[label] = learn(*arguments, progress=False).raise_if_interrupted()
     return results

@@ -46,6 +46,12 @@ class LearningResult:
             interrupted=interrupted,
         )
 
+    def raise_if_interrupted(self) -> LearningResult:
+        """This result. Raises KeyboardInterrupt if Ctrl-C ended it, for callers that need learning to be finished."""
+        if self.interrupted:
+            raise KeyboardInterrupt
+        return self
+
     def panels(self) -> tuple[Panel, Panel]:
         """Training loss and parameters over the outer iterations, to be drawn."""
         loss = Panel("training loss", self.losses, xlabel="outer iteration", log=bool((self.losses > 0).all()))

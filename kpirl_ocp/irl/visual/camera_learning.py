@@ -121,9 +121,9 @@ def learn_on(problem: OCP, demonstration: Demonstration, psi0: Array, iterations
 
     Raises CertificateError if a gradient cannot be certified.
     """
-    result = learn(problem, [demonstration], psi0, Implicit(_SOLVER), LBFGS(), iterations)
+    result = learn(problem, [demonstration], psi0, Implicit(_SOLVER), LBFGS(), iterations).raise_if_interrupted()
     while (left := iterations + 1 - len(result.losses)) > 0:
-        more = learn(problem, [demonstration], result.psi, Implicit(_SOLVER), LBFGS(), left)
+        more = learn(problem, [demonstration], result.psi, Implicit(_SOLVER), LBFGS(), left).raise_if_interrupted()
         stuck = more.loss > (1 - _PROGRESS) * result.loss
         result = LearningResult(
             psi=more.psi,

@@ -174,7 +174,7 @@ def _learn(
     horizon, n_z = horizon_of(demonstrations), dynamics.n_z
     problem = network_ocp(dynamics, cost, horizon)
     psi0 = cost.initial(horizon, n_z, weights)
-    result = learn(problem, demonstrations, psi0, method, optimiser, iterations, progress=False)
+    result = learn(problem, demonstrations, psi0, method, optimiser, iterations, progress=False).raise_if_interrupted()
     planned = PlanningCost.of(cost, result.psi, horizon, n_z, solver)
     best, seconds = int(np.argmin(result.losses)), float(result.seconds[-1])
     return LearnedPlan(planned, cost, result.psi, result.losses, best, seconds)

@@ -36,7 +36,7 @@ def _noting_ctrl_c() -> Iterator[Callable[[], bool]]:
 
     def note(number: int, frame: FrameType | None) -> None:
         try:
-            handler(number, frame)
+            handler(number, None)  # wherever CasADi is
         except KeyboardInterrupt:
             raised.append(number)
             raise

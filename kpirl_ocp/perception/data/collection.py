@@ -6,10 +6,7 @@ it stopped.
 
 from __future__ import annotations
 
-import contextlib
-import signal
-import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,6 +19,7 @@ from kpirl_ocp.episodes import episode_path, read_meta, write_meta
 from kpirl_ocp.errors import EpisodeError, ProblemError
 from kpirl_ocp.perception.data.motions import MOTIONS, ArmMotion, Motion
 from kpirl_ocp.perception.scene.camera import Camera
+from kpirl_ocp.reporting import deaf_children
 
 
 def collect(directory: str | Path, motion: Motion, count: int, seed: int = 0, jobs: int = 1) -> Path:
@@ -40,27 +38,11 @@ def collect(directory: str | Path, motion: Motion, count: int, seed: int = 0, jo
     _agree(directory, count, describe(motion, seed))
     missing = [i for i in range(count) if not episode_path(directory, i).exists()]
     tasks = (joblib.delayed(_record)(directory, motion, seed, index) for index in missing)
-    with _deaf_children():
+    with deaf_children():
         written = joblib.Parallel(jobs, return_as="generator_unordered")(tasks)
     for _ in tqdm(written, directory.name, len(missing), unit="episode"):
         pass
     return directory
-
-
-@contextlib.contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Context in which processes start that never hear Ctrl-C: it is for this one, which ends them.
-
-    Ignoring is what they inherit, so that this process does not hear it either while they start.
-    """
-    if threading.current_thread() is not threading.main_thread():  # which alone may say so
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def describe(motion: Motion, seed: int) -> dict[str, Any]:

@@ -1,0 +1,49 @@
+"""Ctrl-C and SIGTERM in commands: both raise KeyboardInterrupt, and neither is lost in CasADi."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from types import FrameType
+
+_AGAIN = 0.01  # [s] until the next look whether CasADi is done
+
+
+@contextlib.contextmanager
+def stoppable() -> Iterator[None]:
+    """A block in which SIGTERM, as schedulers of clusters send it, does what Ctrl-C does.
+
+    Both wait while CasADi reads arguments, as it drops exceptions there or makes other ones of them.
+    """
+    if threading.current_thread() is not threading.main_thread():  # which alone may say so
+        yield
+        return
+    numbers = [signal.SIGTERM, signal.SIGALRM]
+    if callable(signal.getsignal(signal.SIGINT)):  # shells let jobs in the background ignore it
+        numbers.append(signal.SIGINT)
+    before = {number: signal.signal(number, _stop) for number in numbers}
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    if number != signal.SIGINT and callable(signal.getsignal(signal.SIGINT)):
+        signal.raise_signal(signal.SIGINT)  # for whoever handles it now
+    elif _within_casadi(frame):
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+    else:
+        raise KeyboardInterrupt
+
+
+def _within_casadi(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_globals.get("__name__") == "casadi.casadi":
+            return True
+        frame = frame.f_back
+    return False
