@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from kpirl_ocp.errors import ProblemError, SolveError
 from kpirl_ocp.pictures import Panel, card, draw, svg
@@ -25,6 +25,17 @@ def max_or_nan(*numbers: float) -> float:
 def largest(values: Array) -> float:
     """Largest absolute value, 0 for an empty array, NaN if there is one."""
     return float(np.max(np.abs(values), initial=0.0))
+
+
+def floats(name: str, value: ArrayLike) -> Array:
+    """A value as an array of floating-point numbers, whatever their type. Raises ProblemError for what has none."""
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        array = np.array(None)
+    if array.dtype.kind not in "biuf":
+        raise ProblemError(f"{name} must be an array of numbers, got {type(value).__name__} of {array.dtype}.")
+    return np.asarray(array, float)
 
 
 @dataclass(frozen=True)
@@ -153,10 +164,10 @@ class Multipliers:
     terminal_equality: Array = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        shapes = {"path_equality": (len(self.dynamics), 0), "terminal": (0,), "terminal_equality": (0,)}
-        for name, shape in shapes.items():
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, np.zeros(shape))
+        shapes = {"path_equality": (*np.shape(self.dynamics)[:1], 0), "terminal": (0,), "terminal_equality": (0,)}
+        for name, value in vars(self).items():
+            none = value is None and name in shapes
+            object.__setattr__(self, name, np.zeros(shapes[name]) if none else floats(f"multipliers.{name}", value))
 
     @classmethod
     def of_given_start(cls, dynamics: Array, state: Array, action: Array, path: Array) -> Multipliers:

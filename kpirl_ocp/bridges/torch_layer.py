@@ -22,6 +22,7 @@ from kpirl_ocp.bridges.first_action import with_first_action
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, Solver
+from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Solution, Trajectory
@@ -104,10 +105,12 @@ class OCPLayer(torch.nn.Module):
             SolveError: a solve failed; not under the policy "mask".
         """
         batch = self.batch if u0 is None else self._given_action
+        sizes = self._sizes
+        for name, tensor in zip(sizes, (psi, s0, context, u0), strict=True):
+            if not isinstance(tensor, Tensor) and (tensor is not None or name in ("psi", "s0")):
+                raise ProblemError(f"{name} must be a tensor, got {shown(tensor)}.")
         context = psi.new_zeros(0) if context is None else context
-        given, sizes = [psi, s0, context], self._sizes
-        if u0 is not None:
-            given.append(u0)
+        given = [psi, s0, context] if u0 is None else [psi, s0, context, u0]
         count = max((len(tensor) for tensor in given if tensor.ndim == 2), default=1)
         rows = [_rows(name, x, count, size) for x, (name, size) in zip(given, sizes.items(), strict=False)]
         guesses = _guesses(batch.problem, guess, count)

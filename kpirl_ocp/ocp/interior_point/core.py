@@ -102,8 +102,9 @@ class Core:
             self._code = code
             self._model = self._make_model()
             self._library.kpirl_mpc_core_set_model(self._core, ctypes.addressof(self._model))
-        numbers = c.Numbers(*(array.ctypes.data for array in (s0, psi, context, self._schedule)))
-        arrays = self._start(guess)
+        kept = [np.require(array, float, ("C", "A")) for array in (s0, psi, context)]
+        numbers = c.Numbers(*(array.ctypes.data for array in kept), self._schedule.ctypes.data)
+        arrays = [np.require(array, float, ("C", "A")) for array in self._start(guess)]
         start = c.Start(*(array.ctypes.data for array in arrays))
         given = (ctypes.addressof(x) for x in (numbers, options, start, self._residuals))
         status = self._library.kpirl_mpc_core_solve(self._core, *given)
@@ -128,7 +129,7 @@ class Core:
         return StageDerivatives(**self._evaluate(s0, psi, context, point, c.SECOND), **self._matrices())
 
     def _evaluate(self, s0: Array, psi: Array, context: Array, point: Sequence[Array], level: int) -> dict[str, Array]:
-        kept = [np.ascontiguousarray(array, float) for array in (s0, psi, context, *point)]
+        kept = [np.require(array, float, ("C", "A")) for array in (s0, psi, context, *point)]
         numbers = c.Numbers(*(array.ctypes.data for array in kept[:3]), self._schedule.ctypes.data)
         x, costates, path, equality = (array.ctypes.data for array in kept[3:])
         start = c.Start(x, costates, None, path, equality)
@@ -210,7 +211,7 @@ class Core:
             m = guess.multipliers
             check_multipliers(problem, m)
             rows = [(m.path, m.terminal), (m.path_equality, m.terminal_equality)]
-            arrays += [np.array(m.dynamics, float), by_stage(m.state, m.action)]
+            arrays += [m.dynamics, by_stage(m.state, m.action)]
             arrays += [np.concatenate([path.ravel(), last]) for path, last in rows]
         return arrays
 

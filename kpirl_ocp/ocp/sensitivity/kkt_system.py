@@ -29,7 +29,7 @@ from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives, StageValues
 from kpirl_ocp.ocp.sensitivity.rows import Rows, rows_of
-from kpirl_ocp.types import Array, Mask, Solution
+from kpirl_ocp.types import Array, Mask, Solution, floats
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ def check_solution(problem: OCP, solution: Solution) -> None:
     steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
     shapes = {"states": (steps + 1, n_s), "actions": (steps, n_u)}
     for name, shape in shapes.items():
-        given = np.shape(getattr(solution, name))
+        given = floats(f"the solution's {name}", getattr(solution, name)).shape
         if given != shape:
             raise ProblemError(f"the solution's {name} must be {shape}, got {given}: it is of another problem.")
     check_multipliers(problem, solution.multipliers, "solution")

@@ -37,21 +37,24 @@ def numbers(name: str, value: ArrayLike) -> Array:
 
 
 def vector(name: str, value: ArrayLike, *lengths: int) -> Array:
-    """A float64 vector of one of these lengths. Raises ProblemError for anything else."""
+    """A float64 vector of one of these lengths, in memory of its own: later changes of `value` leave it as it is.
+
+    Raises ProblemError for anything else.
+    """
     array = numbers(name, value)
     if array.ndim > 1 and array.size != max(array.shape):
         raise ProblemError(f"{name} must be a vector of length {_or(lengths)}, got the shape {array.shape}.")
     if array.size not in lengths:
         raise ProblemError(f"{name} must have length {_or(lengths)}, got {array.size}.")
-    return array.reshape(-1)
+    return np.array(array.reshape(-1), order="C")
 
 
 def matrix(name: str, axes: str, value: ArrayLike, *shapes: tuple[int, int]) -> Array:
-    """A float64 matrix of one of these shapes. Raises ProblemError for anything else."""
+    """A float64 matrix of one of these shapes, row by row in memory. Raises ProblemError for anything else."""
     array = numbers(name, value)
     if array.shape not in shapes:
         raise ProblemError(f"{name} must be {axes} = {_or(shapes)}, got {array.shape}.")
-    return array
+    return np.require(array, requirements=("C", "A"))
 
 
 def schedule_of(value: ArrayLike | None, horizon: int) -> Array:
