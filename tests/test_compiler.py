@@ -290,7 +290,7 @@ def test_stage_functions_are_compiled_again_where_their_library_is_not_as_it_was
     )
     command = [sys.executable, "-W", "error", "-c", code]
     for _ in range(2):
-        result = subprocess.run(command, capture_output=True, text=True, check=True)
+        result = subprocess.run(command, capture_output=True, text=True, check=True, cwd=cache.parents[1])
         assert result.stdout.strip() == "CONVERGED"
         (library,) = cache.iterdir()
         assert library_cache.sound(library)
