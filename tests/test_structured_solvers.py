@@ -1,5 +1,6 @@
 """Solvers that know the stages against Ipopt, on a table of problems; real-time iterations; what they do when stuck."""
 
+import os
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
@@ -16,6 +17,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.interior_point.machine_code import machine_code
 from kpirl_ocp.ocp.problem.solver import solve_and_linearise
+from kpirl_ocp.ocp.sensitivity import sensitivity
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, primal_dual
 
 SOLVERS = {"riccati": (Riccati(), 1e-8, 1e-6), "fatrop": (Fatrop(), 1e-6, 1e-4)}  # solver, objective, multipliers
@@ -263,6 +265,21 @@ def test_solutions_share_no_memory():
     other = Riccati().solve(problem, s0 + np.array([0.3, 0.0]), psi, context)
     np.testing.assert_array_equal(one.actions, kept)
     assert np.abs(other.actions - kept).max() > 1e-3
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="a system without fork")
+def test_a_forked_process_solves_and_differentiates_with_the_numbers_of_its_parent():
+    problem, *arguments = given("integrator")
+    expected = Riccati().solve(problem, *arguments)
+    slopes = np.ones_like(expected.states), np.ones_like(expected.actions)
+    gradient = sensitivity(problem, expected, "flag").pull(*slopes).psi
+    child = os.fork()
+    if child == 0:
+        found = Riccati().solve(problem, *arguments)
+        same = np.array_equal(found.actions, expected.actions)
+        same = same and np.array_equal(sensitivity(problem, found, "flag").pull(*slopes).psi, gradient)
+        os._exit(0 if same else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 def test_threads_solve_at_the_same_time_without_meeting():
