@@ -64,6 +64,15 @@ def seen():
 
 def broken():
     return 1 / 0
+
+def exits():
+    raise SystemExit
+
+def says_much():
+    raise ValueError("one\\ntwo")
+
+def true_step():
+    return pendulum()[0], {"s0": [0, 0], "psi": [0.8, 0.02], "step_size": True}
 '''
 
 KPIRL = [sys.executable, str(Path(kpirl_ocp.__file__).with_name("cli"))]  # -m: of the working directory
@@ -140,6 +149,10 @@ WRONG = {  # words, beginning of the sentence
     "solve own.py:too_short": "own.py:too_short: psi must be finite and of shape (2,), got [0.8].",
     "solve own.py:alone": "own.py:alone: it must return an OCP and a dictionary with its numbers, not OCP.",
     "solve own.py:broken": "own.py:broken raised ZeroDivisionError: division by zero (line 40 of own.py)",
+    "solve own.py:exits": "own.py:exits raised SystemExit (line 43 of own.py)",
+    "solve own.py:says_much": "own.py:says_much raised ValueError: one two (line 46 of own.py)",
+    "solve own.py:true_step": "own.py:true_step: step_size must be a positive number, got True.",
+    "solve unfinished.py:f": "unfinished.py raised SyntaxError: '(' was never closed (unfinished.py, line 1).",
     "solve own.py:pendulum --robot panda": "--robot is for the arm's problem, and own.py:pendulum is your own.",
     "solve --robot missing.urdf": "there is no URDF file missing.urdf.",
     "solve --robot own.py": "own.py cannot be read as a URDF",
@@ -202,6 +215,7 @@ WRONG = {  # words, beginning of the sentence
 def test_wrong_input_is_one_sentence(words, own, monkeypatch, capsys):
     monkeypatch.chdir(own.parent)
     (own.parent / "empty").mkdir()
+    (own.parent / "unfinished.py").write_text("f(\n")
     assert refusal(words.split(), capsys).startswith(WRONG[words])
 
 
@@ -327,6 +341,8 @@ CONFIGS = {  # text, sentence
     "horizon: -3": "config.yaml: --horizon: expected a whole number of at least 1, got '-3'.",
     "move: [1, 2]": "config.yaml: --move: expected 3 arguments.",
     "command: learn": "config.yaml has the options of learn, not of solve.",
+    "solver: [riccati, ipopt]": "config.yaml: 'solver' must be one value, got ['riccati', 'ipopt'].",
+    "rerun: maybe": "config.yaml: 'rerun' must be true or false, got 'maybe'.",
     "- horizon": "config.yaml must be a mapping from options to values.",
     "a: [": "config.yaml is not a YAML file",
 }

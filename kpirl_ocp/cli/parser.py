@@ -79,7 +79,7 @@ class Parser(argparse.ArgumentParser):
                 raise OptionError(f"{config}: there is no option {name!r}{suggestion(dest, options)}")
             if name != "command" and value is not None:
                 given[dest] = options[dest]
-                words += _words(options[dest], value)
+                words += _words(options[dest], value, f"{config}: {name!r}")
         required = [action for action in options.values() if action.required]
         for action in required:
             action.required = False
@@ -92,10 +92,14 @@ class Parser(argparse.ArgumentParser):
         self.set_defaults(**{dest: getattr(parsed, dest) for dest in given})
 
 
-def _words(action: argparse.Action, value: Any) -> list[str]:
-    """The words of a command line that give an option this value."""
+def _words(action: argparse.Action, value: Any, place: str) -> list[str]:
+    """The words of a command line that give an option this value, which stands at a place of a file."""
     name = list(action.option_strings[-1:])
-    if action.nargs == 0 and isinstance(value, bool):
+    if action.nargs == 0 and not isinstance(value, bool):
+        raise OptionError(f"{place} must be true or false, got {value!r}")
+    if action.nargs in (None, "?") and isinstance(value, list):
+        raise OptionError(f"{place} must be one value, got {value!r}")
+    if action.nargs == 0:
         return name if value else []
     return name + [str(item) for item in (value if isinstance(value, list) else [value])]
 

@@ -51,7 +51,7 @@ def load_own(place: str) -> OwnProblem:
         raise ProblemError(f"{path} has no function {name!r}.")
     try:
         returned = function()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ProblemError(_raised(place, error)) from error
     return _checked(place, returned)
 
@@ -64,16 +64,19 @@ def _module(path: Path) -> Any:
     sys.path.insert(0, str(path.parent.resolve()))  # so that the file may import its neighbours
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ProblemError(_raised(str(path), error)) from error
     finally:
         sys.path.pop(0)
     return module
 
 
-def _raised(place: str, error: Exception) -> str:
+def _raised(place: str, error: BaseException) -> str:
+    said = " ".join(f"{place} raised {type(error).__name__}: {error}".split()).rstrip(":")
+    if isinstance(error, SyntaxError):  # which says where by itself
+        return f"{said}."
     last = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{place} raised {type(error).__name__}: {error} (line {last.lineno} of {Path(last.filename).name})"
+    return f"{said} (line {last.lineno} of {Path(last.filename).name})"
 
 
 def _checked(place: str, returned: object) -> OwnProblem:
@@ -111,6 +114,8 @@ def _array(place: str, numbers: Mapping[str, Any], name: str, shape: tuple[int, 
 
 def _step_size(place: str, numbers: Mapping[str, Any]) -> float | None:
     value = numbers.get("step_size")
-    if value is not None and not (isinstance(value, int | float) and np.isfinite(value) and value > 0):
+    if value is not None and not (
+        isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value) and value > 0
+    ):
         raise ProblemError(f"{place}: step_size must be a positive number, got {value!r}.")
     return value
