@@ -60,7 +60,6 @@ def test_an_arm_repeats_a_film_with_dynamics_that_were_learned(placing, tmp_path
     np.testing.assert_allclose([content["limits"][side] for side in ("lower", "upper")], [lower, upper])
     plan = read_episode(tmp_path / "plan.npz", Plan)
     assert np.all((plan.joints >= lower) & (plan.joints <= upper))
-    assert np.abs(plan.actions).max() <= content["limits"]["max_displacement"] + 1e-9
     again = [*MODELS, "--steps", "10", "--cost", str(tmp_path / "cost.json")]
     assert run(["learn-video", str(placing), *again, "--out", str(tmp_path / "again")]) == 0, capsys.readouterr()
     assert not (tmp_path / "again" / "cost.json").exists()
@@ -138,6 +137,7 @@ def test_a_film_in_which_the_detector_does_not_see_its_object_is_refused(tmp_pat
     ("words", "message"),
     [
         ([MODELS[1]], "--dynamics: needs --detector"),
+        (["--start", "3", "--end", "1"], "--end: must be after --start, 3 s, got 1 s"),
         (["--recording", __file__], "--recording: needs --dynamics"),
         ([*MODELS, "--robot", "ur5"], "--robot: not with --dynamics"),
     ],

@@ -61,6 +61,8 @@ def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) 
 
 def _check(args: Namespace) -> None:
     """Raise OptionError for options that do not go together."""
+    if args.end is not None and args.end <= args.start:
+        raise OptionError(f"--end: must be after --start, {args.start:g} s, got {args.end:g} s")
     if args.dynamics and not args.detector:
         raise OptionError("--dynamics: needs --detector, the one through which the dynamics were learned")
     if args.recording and not args.dynamics:

@@ -21,11 +21,11 @@ from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array
 
 BOTTLE_LENGTH = 0.25  # [m]
-LARGEST_STEP = 0.3  # largest displacement of a joint in one step [rad]
 _WORKSPACE = np.array([[0.46, 0.40], [0.78, 0.80]])  # of the bottle in front of the iiwa, x and z [m]
 _VIEW = np.array([0.0, -1.45, 0.08])  # from the bottle to the camera of another arm than the iiwa [m]
 _MARGIN = 5.0  # keypoints stay this far inside the image [pixels]
 _AWAY = 0.08  # other starts from the first, and the first from joint limits, at most and at least [rad]
+_MOST = 0.3  # largest displacement of a joint in one step [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ def arm_for(name: str, flange: str | None, places: Array, scale: Scale) -> tuple
     figure = factor * (places[0] - places[0].mean(axis=0))
     held = held_points(pinhole, rotation, position, figure)
     keypoints = _on_flange(name, link, bare, start, rotation, position, held)
-    setting = ArmSetting(name, keypoints, camera.height / 2, pinhole, max_displacement=LARGEST_STEP)
+    setting = ArmSetting(name, keypoints, camera.height / 2, pinhole, max_displacement=_MOST)
     pixels = camera.project(position) + figure + way
     _check_view(pixels, camera)
     return Arm(name, link, start, camera, setting, setting.build()), way

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from kpirl_ocp import figures
-from kpirl_ocp.cli.imitation.arm import LARGEST_STEP
 from kpirl_ocp.episodes import KeypointTrack, stored, write_episode
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.cost_files import robot_called
@@ -127,7 +126,7 @@ def _limits(args: Namespace, dynamics: NetworkDynamics) -> ArmLimits | None:
     if robot.n_joints != dynamics.n_joints:
         raise OptionError(f"--robot: {name} has {robot.n_joints} joints, the dynamics have {dynamics.n_joints}")
     lower, upper = (tuple(row.tolist()) for row in robot.joint_limits)
-    return ArmLimits(name, lower, upper, LARGEST_STEP)
+    return ArmLimits(name, lower, upper)
 
 
 def _distance(path: Array, demonstration: Demonstration) -> float:
