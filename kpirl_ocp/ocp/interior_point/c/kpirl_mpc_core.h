@@ -248,7 +248,7 @@ int kpirl_mpc_acceptable(const kpirl_mpc_core *core);
 int kpirl_mpc_idle(kpirl_mpc_core *core);
 
 /* curvature */
-int kpirl_mpc_escape(kpirl_mpc_core *core);
+int kpirl_mpc_escape(kpirl_mpc_core *core, real shortest);
 
 /* regularisation: returns whether there is a step */
 int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation);

@@ -7,7 +7,6 @@
 #include <string.h>
 
 static const real FLAT = (real)1e-8;      /* curvature, relative to the largest, that counts as none */
-static const real SHORTEST = (real)1e-10; /* step length below which there is no way down */
 
 /* A direction along which the Hessian of the last factors is negative, from the most negative pivot: the step becomes
  *     u_t = W' e_j,  s = 0 before,  u = K s after it,    with curvature -1.
@@ -46,7 +45,7 @@ static int find_negative_curvature(kpirl_mpc_core *core) {
 }
 
 /* Move off a stationary point along negative curvature, to where the barrier function is lower. */
-static int move_off(kpirl_mpc_core *core, real sign) {
+static int move_off(kpirl_mpc_core *core, real sign, real shortest) {
   const int n_w = kpirl_mpc_n_point(core), m = kpirl_mpc_n_inequalities(core);
   kpirl_mpc_step *step = &core->step;
   kpirl_mpc_merit trial;
@@ -58,7 +57,7 @@ static int move_off(kpirl_mpc_core *core, real sign) {
   step->tau = core->tau;
   step->share = KPIRL_MPC_BOUNDARY;
   step->dual_length = 0;
-  for (length = 1; length >= SHORTEST; length /= 2) {
+  for (length = 1; length >= shortest; length /= 2) {
     ++core->trials;
     kpirl_mpc_try(core, length, 0, &trial);
     if (trial.theta <= core->filter.small && trial.phi < phi - (real)0.1 * length * length) {
@@ -71,11 +70,11 @@ static int move_off(kpirl_mpc_core *core, real sign) {
 }
 
 /* At a point that meets the first-order conditions: 0 where it is a minimum, a flat one too, 1 where it is none and was left, -1 where it is
- * none and no way led down from it. */
-int kpirl_mpc_escape(kpirl_mpc_core *core) {
+ * none and no way led down from it, be it as short as `shortest` times the direction. */
+int kpirl_mpc_escape(kpirl_mpc_core *core, real shortest) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), n_H = T * n_x * n_x + n_s * n_s;
   core->trials = 0;
   if (kpirl_mpc_factorise(core, 0) || kpirl_mpc_factorise(core, FLAT * kpirl_mpc_largest(core->d.H, n_H))) return 0;
   if (!find_negative_curvature(core)) return -1;
-  return move_off(core, 1) || move_off(core, -1) ? 1 : -1;
+  return move_off(core, 1, shortest) || move_off(core, -1, shortest) ? 1 : -1;
 }

@@ -10,6 +10,7 @@
 
 static const real START = (real)0.1;       /* tau of a cold start, see start_tau */
 static const real WARM = (real)1e-3;      /* largest tau of a warm start */
+static const real SHORTEST = (real)1e-10;  /* step off a point that is no minimum */
 static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
 static const int RESTORATIONS = 5;        /* in one solve, twice */
 
@@ -100,7 +101,7 @@ static kpirl_mpc_status converge(kpirl_mpc_core *core) {
   for (;; ++core->iterations) {
     if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
     if (kpirl_mpc_solved(core)) {
-      const int left = to_be_examined(core) ? kpirl_mpc_escape(core) : 0;
+      const int left = to_be_examined(core) ? kpirl_mpc_escape(core, SHORTEST) : 0;
       if (left <= 0) return left ? KPIRL_MPC_NOT_A_MINIMUM : KPIRL_MPC_CONVERGED;
       begin_here(core, core->options.barrier > 0 ? core->tau : kpirl_mpc_larger(core->tau, kpirl_mpc_start_tau(core)));
       continue;

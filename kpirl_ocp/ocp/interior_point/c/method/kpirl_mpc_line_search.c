@@ -12,6 +12,7 @@ static const real USEFUL = (real)0.01;     /* fraction of a corrected step below
 static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
 static const real SMALL = (real)1e-3;      /* violation that counts as little */
 static const real KEPT = (real)1e-4;       /* share of its start above which tau stays until violation and gradient fall */
+static const real WORTHWHILE = (real)0.05; /* shortest step off a saddle of a barrier problem */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
 
 /* Derivative of J - tau sum log y along the step. */
@@ -85,7 +86,7 @@ static void hold_tau(kpirl_mpc_core *core) {
  * tau (Waechter and Biegler, 2006, section 2.1). Returns whether it moved. */
 static int leave_saddle(kpirl_mpc_core *core, real least) {
   const real tau = core->tau, lower = kpirl_mpc_smaller((real)0.2 * tau, kpirl_mpc_power(tau, (real)1.5));
-  if (tau < core->escaped_tau && kpirl_mpc_escape(core) > 0) {
+  if (tau < core->escaped_tau && kpirl_mpc_escape(core, WORTHWHILE) > 0) {
     core->escaped_tau = tau;
     return 1;
   }

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT
  *
  * How much weight on the identity makes the reduced Hessian positive (inertia correction; Waechter and Biegler, 2006, section
- * 3.1). Factors are cheap beside derivatives, so that the least weight is found to within a factor: more of it only shortens
+ * 3.1). The least weight is found to within a factor, at the price of a few factorisations: more of it only shortens
  * steps, and just enough of it would make them arbitrarily long.
  */
 #include "kpirl_mpc_core.h"
