@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import OCP, Riccati, Status, Trajectory
+from kpirl_ocp import OCP, Riccati, Status
 
 
 def integrator(horizon, n=1, step=0.1, **fields):
@@ -55,16 +55,6 @@ def test_swing_up_from_exact_rest_leaves_the_saddle_while_tau_leaves_room_to_tur
     assert found.status is Status.CONVERGED
     assert found.iterations <= 30
     assert np.cos(found.states[-1, 0]) < -0.99
-
-
-@pytest.mark.parametrize("scale", [3.0, 5e3])
-def test_regularisation_is_twice_the_least_that_suffices(scale, capsys):
-    """u^4 - u^2 / 2 has the curvature 0.12 - 1 at 0.1; the least weight is found to within a factor of 1.5."""
-    problem = integrator(1, step=0.0, cost=lambda s, u: scale * (u**4 - u**2 / 2))
-    guess = Trajectory([[0.0], [1e4]], [[0.1]])  # far from the dynamics, so that this is no saddle to be left
-    Riccati(verbose=True).solve(problem, [0.0], guess=guess)
-    columns = capsys.readouterr().err.splitlines()[1].split()
-    assert 2 * 0.88 * scale / 1.13 <= 10 ** float(columns[7]) <= 3 * 0.88 * scale * 1.13  # the log has one decimal
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -186,15 +176,14 @@ def test_running_cost_as_a_state_costs_no_more_iterations_than_as_stage_costs():
     assert first.iterations <= second.iterations + 3
 
 
-def test_a_start_that_follows_the_dynamics_is_not_taken_for_the_floor_of_rounding():
+@pytest.mark.parametrize("scale", [1e-5, 1e-6, 1e-7, 1e-8])
+@pytest.mark.parametrize("horizon", [20, 50])
+def test_a_start_that_follows_the_dynamics_is_not_taken_for_the_floor_of_rounding(scale, horizon):
     """With a small cost its residuals are those of an end already; lifted steps let feasibility get worse first."""
     s, u = ca.SX.sym("s", 2), ca.SX.sym("u")
-    problem = OCP.from_expressions(
-        state=s,
-        action=u,
-        horizon=20,
-        action_bounds=(-2, 2),
-        dynamics=s + 0.1 * ca.vertcat(s[1], u - ca.sin(s[0])),
-        stage_cost=1e-6 * (ca.sumsqr(s) + 0.01 * u**2),
-    )
-    assert Riccati(1e-12).solve(problem, [1.0, 1.0]).status is Status.CONVERGED
+    speed = ca.vertcat(s[1], u - ca.sin(s[0]))
+    given = {"state": s, "action": u, "dynamics": s + 0.1 * speed, "stage_cost": scale * (ca.sumsqr(s) + 0.01 * u**2)}
+    problem = OCP.from_expressions(**given, horizon=horizon, action_bounds=(-2, 2))
+    for tolerance in (1e-8, 1e-10):
+        for s0 in ([1.0, 1.0], [3.0, 0.0]):
+            assert Riccati(tolerance).solve(problem, s0).status is Status.CONVERGED

@@ -251,10 +251,12 @@ int kpirl_mpc_idle(kpirl_mpc_core *core);
 int kpirl_mpc_escape(kpirl_mpc_core *core, real shortest);
 
 /* regularisation: returns whether there is a step */
-int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation);
+int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation, int indefinite);
 
-/* line search: `least` is the tau to stop at. Each returns whether it moved. */
-int kpirl_mpc_newton_iterate(kpirl_mpc_core *core);
+/* line search: the derivative of the barrier function along the step; `least` is the tau to stop at. The others return whether
+ * they moved. */
+real kpirl_mpc_slope(const kpirl_mpc_core *core);
+int kpirl_mpc_newton_iterate(kpirl_mpc_core *core, int indefinite);
 int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least);
 /* Go to the trial point; `level` says how much to find out about it. */
 void kpirl_mpc_arrive(kpirl_mpc_core *core, int level);

@@ -15,8 +15,6 @@
 static const real EXACT = (real)1e-13; /* relative residual at which refinement stops */
 enum { REFINEMENTS = 12 };
 
-static real worse(real a, real b) { return isnan(a) || isnan(b) ? (real)INFINITY : kpirl_mpc_larger(a, b); }
-
 /* ---- gradients ----------------------------------------------------------------------------------------------------- */
 
 real kpirl_mpc_kkt_solve(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *right, kpirl_mpc_triple *point) {
@@ -59,12 +57,6 @@ static void negate(real *values, int count) {
 
 /* ---- evidence ------------------------------------------------------------------------------------------------------- */
 
-static void copy_triple(const kpirl_mpc_system *s, const kpirl_mpc_triple *from, kpirl_mpc_triple *to) {
-  memcpy(to->x, from->x, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
-  memcpy(to->costates, from->costates, (size_t)(s->horizon * s->n_states) * sizeof(real));
-  memcpy(to->forces, from->forces, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
-}
-
 /* How the adjoint of a slope changes where a Newton step leads to. */
 static real find_change(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const real *slope,
                         const kpirl_mpc_triple *adjoint) {
@@ -73,7 +65,7 @@ static real find_change(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core 
     kpirl_mpc_kkt_evaluate(nearby, core);
     kpirl_mpc_kkt_select_nearby(nearby, k->system.active);
   }
-  copy_triple(&k->system, adjoint, &nearby->adjoint);
+  kpirl_mpc_copy_triple(&k->system, adjoint, &nearby->adjoint);
   return kpirl_mpc_kkt_change(k, nearby, slope, &nearby->adjoint);
 }
 
@@ -98,7 +90,7 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
     evidence->kink = kpirl_mpc_kink_along(k, core, direction ? direction : adjoint->x);
   }
   kpirl_mpc_kkt_pull(k, function, adjoint, by);
-  if (finite) evidence->kink = worse(evidence->kink, kpirl_mpc_kink_in_parameters(k, core, function, adjoint, by));
+  if (finite) evidence->kink = kpirl_mpc_worse(evidence->kink, kpirl_mpc_kink_in_parameters(k, core, function, adjoint, by));
   negate(by->psi, k->dimensions.n_parameters);
   negate(by->s0, k->system.n_states);
   negate(by->context, k->dimensions.n_context);

@@ -14,20 +14,8 @@ static const real ROUNDING = (real)1e-12;  /* of the conditions, relative, with 
 static const real SMALL = (real)1e-3;      /* share of the largest parameter that the others move by at least */
 static const real FLOOR = (real)1e-9;      /* share of the whole gradient below which one of its entries may be rounding */
 
-static real over(real value, real size) { return value / (size > 0 ? size : 1); }
-
-/* The larger one; infinite if one is NaN. */
-static real worse(real a, real b) { return isnan(a) || isnan(b) ? (real)INFINITY : kpirl_mpc_larger(a, b); }
-
 static int n_conditions(const kpirl_mpc_system *s) {
   return kpirl_mpc_system_n_point(s) + s->horizon * s->n_states + kpirl_mpc_system_n_rows(s) - s->n_bounds;
-}
-
-static real dot(const real *a, const real *b, int n) {
-  real sum = 0;
-  int i;
-  for (i = 0; i < n; ++i) sum += a[i] * b[i];
-  return sum;
 }
 
 /* Gradient of the Lagrangian, defects, path constraints and equalities at x, with the forces of kkt->point; NaN where a function
@@ -51,8 +39,8 @@ static real conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl
   memcpy(values + n_w + n_c, view.path, (size_t)n_path * sizeof(real));
   memcpy(values + n_w + n_c + n_path, view.equality, (size_t)(n - n_w - n_c - n_path) * sizeof(real));
   for (i = 0; failed && i < n; ++i) values[i] = (real)NAN;
-  return view.objective + dot(at.costates, view.defects, n_c) + dot(at.path, view.path, n_path) +
-         dot(at.equality, view.equality, n - n_w - n_c - n_path);
+  return view.objective + kpirl_mpc_dot(at.costates, view.defects, n_c) + kpirl_mpc_dot(at.path, view.path, n_path) +
+         kpirl_mpc_dot(at.equality, view.equality, n - n_w - n_c - n_path);
 }
 
 /* ---- along x ---------------------------------------------------------------------------------------------------- */
@@ -92,8 +80,8 @@ static real disagreement(const real *left, const real *here, const real *right, 
     off_right += (after - known) * (after - known);
     off_left += (before - known) * (before - known);
   }
-  if (relative) whole = kpirl_mpc_root(worse(worse(worse(to_right, to_left), expected), whole * whole));
-  return over(kpirl_mpc_root(worse(off_right, off_left)), whole);
+  if (relative) whole = kpirl_mpc_root(kpirl_mpc_worse(kpirl_mpc_worse(kpirl_mpc_worse(to_right, to_left), expected), whole * whole));
+  return kpirl_mpc_over(kpirl_mpc_root(kpirl_mpc_worse(off_right, off_left)), whole);
 }
 
 /* A jump of the Lagrangian L, whose gradients to the left, here and to the right do not see it: what is left of its changes
@@ -110,8 +98,8 @@ static real value_jump(const kpirl_mpc_kkt *k, const real *L, const real *left, 
   }
   for (i = 0; i < s->horizon * n_s; ++i)
     terms += kpirl_mpc_abs(k->point.costates[i] * s->sizes[(i / n_s + 1) * n_x + i % n_s]);
-  off = worse(kpirl_mpc_abs(L[2] - L[1] - slope), kpirl_mpc_abs(L[1] - L[0] - slope)) - bend;
-  return over(kpirl_mpc_larger(off, 0), worse(worse(bend, kpirl_mpc_abs(slope)), FLOOR * terms));
+  off = kpirl_mpc_worse(kpirl_mpc_abs(L[2] - L[1] - slope), kpirl_mpc_abs(L[1] - L[0] - slope)) - bend;
+  return kpirl_mpc_over(kpirl_mpc_larger(off, 0), kpirl_mpc_worse(kpirl_mpc_worse(bend, kpirl_mpc_abs(slope)), FLOOR * terms));
 }
 
 static real kink(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, real lagrangian, const real *here, const real *units,
@@ -136,10 +124,10 @@ static real kink(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, real lagrangian, 
   }
   whole = largest_share(s, move);
   worst = disagreement(left, here, right, slope, units, n_w, kpirl_mpc_root(own), 1);
-  worst = worse(worst, value_jump(k, L, left, here, right, move));
-  worst = worse(worst, disagreement(left + n_w, here + n_w, right + n_w, slope + n_w, units + n_w, n_c, whole, 0));
+  worst = kpirl_mpc_worse(worst, value_jump(k, L, left, here, right, move));
+  worst = kpirl_mpc_worse(worst, disagreement(left + n_w, here + n_w, right + n_w, slope + n_w, units + n_w, n_c, whole, 0));
   i = n_w + n_c;
-  return worse(worst, disagreement(left + i, here + i, right + i, slope + i, units + i, n - i, whole, 0));
+  return kpirl_mpc_worse(worst, disagreement(left + i, here + i, right + i, slope + i, units + i, n - i, whole, 0));
 }
 
 /* Of the difference: where a Newton step still moves the solution, long enough to reach a kink within its error, at which other
@@ -176,7 +164,7 @@ real kpirl_mpc_jump(const real *values, int count, real whole) {
     const real left_over = kpirl_mpc_abs(near[0] - near[count] - CLOSER * (far[0] - far[count])) / (1 - CLOSER);
     const real all[5] = {here, far[0], far[count], near[0], near[count]};
     const real size = kpirl_mpc_larger(kpirl_mpc_largest(all, 5), FLOOR * whole);
-    worst = worse(worst, over(left_over, size));
+    worst = kpirl_mpc_worse(worst, kpirl_mpc_over(left_over, size));
   }
   return worst;
 }
@@ -291,8 +279,8 @@ real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, 
   sides[0] = (sides[1] - sides[0]) / DIFFERENCE;
   sides[2] = (sides[2] - sides[1]) / DIFFERENCE;
   noise = ROUNDING * sizes / DIFFERENCE;
-  whole = worse(worse(total, noise), worse(kpirl_mpc_abs(sides[0]), kpirl_mpc_abs(sides[2])));
-  off = worse(kpirl_mpc_abs(sides[0] - expected), kpirl_mpc_abs(sides[2] - expected));
+  whole = kpirl_mpc_worse(kpirl_mpc_worse(total, noise), kpirl_mpc_worse(kpirl_mpc_abs(sides[0]), kpirl_mpc_abs(sides[2])));
+  off = kpirl_mpc_worse(kpirl_mpc_abs(sides[0] - expected), kpirl_mpc_abs(sides[2] - expected));
   if (weighted_slopes(k, function, weights, by, moves, slopes, work)) return (real)INFINITY;
-  return worse(whole > 0 ? off / whole : 0, kpirl_mpc_jump(slopes, n_psi + n_context, whole));
+  return kpirl_mpc_worse(whole > 0 ? off / whole : 0, kpirl_mpc_jump(slopes, n_psi + n_context, whole));
 }

@@ -9,8 +9,6 @@
 static const real DIFFERENCE = (real)1e-6; /* as in kpirl_mpc_kinks.c */
 static const real ROUNDING = (real)1e-12;
 
-static real worse(real a, real b) { return isnan(a) || isnan(b) ? (real)INFINITY : kpirl_mpc_larger(a, b); }
-
 static real absolute_dot(const real *a, const real *b, int count) {
   real sum = 0;
   int i;
@@ -77,9 +75,9 @@ real kpirl_mpc_kink_of_loss(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows
   for (i = 0; i < n_w; ++i) bend += kpirl_mpc_abs((moved[n_w + i] - moved[2 * n_w + i]) * move[i]);
   sides[0] = kpirl_mpc_abs((values[1] - values[0]) / DIFFERENCE - expected);
   sides[1] = kpirl_mpc_abs((values[0] - values[2]) / DIFFERENCE - expected);
-  whole = worse(worse(absolute_dot(slopes, move, n_w), bend), ROUNDING * kpirl_mpc_abs(values[0]) / DIFFERENCE);
-  off = kpirl_mpc_larger(worse(sides[0], sides[1]) - bend, 0);
+  whole = kpirl_mpc_worse(kpirl_mpc_worse(absolute_dot(slopes, move, n_w), bend), ROUNDING * kpirl_mpc_abs(values[0]) / DIFFERENCE);
+  off = kpirl_mpc_larger(kpirl_mpc_worse(sides[0], sides[1]) - bend, 0);
   for (j = 0; j < 5; ++j)
     for (i = 0; i < n_w; ++i) moved[j * n_w + i] *= kpirl_mpc_abs(move[i]);
-  return failed ? (real)INFINITY : worse(whole > 0 ? off / whole : off, kpirl_mpc_jump(moved, n_w, whole));
+  return failed ? (real)INFINITY : kpirl_mpc_worse(whole > 0 ? off / whole : off, kpirl_mpc_jump(moved, n_w, whole));
 }

@@ -10,6 +10,10 @@ static const real LEAST_FORCE = (real)1e-3; /* share of the largest one, in unit
 static const real NOTHING = (real)1e-9;     /* an entry of x that is smaller everywhere has no size of its own */
 static const real LEAST = (real)1e-12;      /* share of the largest curvature, in units of the cost, below which one is none */
 
+real kpirl_mpc_over(real value, real size) { return value / (size > 0 ? size : 1); }
+
+real kpirl_mpc_worse(real a, real b) { return isnan(a) || isnan(b) ? (real)INFINITY : kpirl_mpc_larger(a, b); }
+
 /* |M| (n, n) of a symmetric matrix by the lower triangle of its first n of `rows` rows. */
 static void absolute_symmetric(const real *M, int rows, int n, real *absolute) {
   int i, j;

@@ -12,7 +12,7 @@ static const real FOLLOWED = (real)1e-6; /* ... or this share of x, and the rela
 static const real NOTHING = (real)1e-8;  /* an x this much shorter than a free one is zero up to rounding */
 enum { CHANGES = 6 };
 
-static void copy_triple(const kpirl_mpc_system *s, const kpirl_mpc_triple *from, kpirl_mpc_triple *to) {
+void kpirl_mpc_copy_triple(const kpirl_mpc_system *s, const kpirl_mpc_triple *from, kpirl_mpc_triple *to) {
   memcpy(to->x, from->x, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
   memcpy(to->costates, from->costates, (size_t)(s->horizon * s->n_states) * sizeof(real));
   memcpy(to->forces, from->forces, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
@@ -112,8 +112,6 @@ static real least_norm(const kpirl_mpc_system *s, const real *r) {
   return kpirl_mpc_root(sum) / (s->scale > 0 ? s->scale : 1);
 }
 
-static real over(real value, real size) { return value / (size > 0 ? size : 1); }
-
 /* The largest of the three residuals, relative; NaN if one is. */
 static real error_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, const kpirl_mpc_triple *point,
                      const kpirl_mpc_triple *residual, real least) {
@@ -121,10 +119,10 @@ static real error_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, c
   real gradient = gradient_norm(s, right->x), decisions = kpirl_mpc_decision_norm(s, point->x), x, parts[3];
   if (gaps > 0 || values > 0) gradient = kpirl_mpc_larger(gradient, successor_norm(s, point->costates, 0));
   decisions = kpirl_mpc_larger(kpirl_mpc_larger(decisions, least), values);
-  x = kpirl_mpc_larger(kpirl_mpc_larger(point_norm(s, point->x), gaps), over(least, kpirl_mpc_decision_norm(s, s->sizes)));
-  parts[0] = over(gradient_norm(s, residual->x), gradient);
-  parts[1] = over(successor_norm(s, residual->costates, 1), x);
-  parts[2] = over(row_norm(s, residual->forces), decisions);
+  x = kpirl_mpc_larger(kpirl_mpc_larger(point_norm(s, point->x), gaps), kpirl_mpc_over(least, kpirl_mpc_decision_norm(s, s->sizes)));
+  parts[0] = kpirl_mpc_over(gradient_norm(s, residual->x), gradient);
+  parts[1] = kpirl_mpc_over(successor_norm(s, residual->costates, 1), x);
+  parts[2] = kpirl_mpc_over(row_norm(s, residual->forces), decisions);
   return kpirl_mpc_largest(parts, 3);
 }
 
@@ -139,7 +137,7 @@ real kpirl_mpc_system_solve(const kpirl_mpc_system *s, const kpirl_mpc_triple *r
   work = kpirl_mpc_place_triple(s, work, &at);
   work = kpirl_mpc_place_triple(s, work, &residual);
   memset(at.x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
-  copy_triple(s, &at, point);
+  kpirl_mpc_copy_triple(s, &at, point);
   for (k = 0; k <= most; ++k) {
     residual_of(s, right, &at, &residual);
     if (k > 0) {
@@ -147,7 +145,7 @@ real kpirl_mpc_system_solve(const kpirl_mpc_system *s, const kpirl_mpc_triple *r
       const int stalled = !(error < best / (error > CLOSE ? 10 : 1000));
       if (error < best || k == 1) {
         best = error;
-        copy_triple(s, &at, point);
+        kpirl_mpc_copy_triple(s, &at, point);
       }
       if (stalled || error <= enough) break;
     }

@@ -117,13 +117,6 @@ void kpirl_mpc_system_substitute(const kpirl_mpc_system *s, const real *q, const
                        x, costates);
 }
 
-static void add_rows(const real *columns, int n, int rows, const real *weights, real *M) {
-  int i, j, r;
-  for (r = 0; r < rows; ++r)
-    for (j = 0; j < n && weights[r] != 0; ++j)
-      for (i = j; i < n; ++i) M[i + j * n] += weights[r] * columns[j + r * n] * columns[i + r * n];
-}
-
 void kpirl_mpc_factor_weighted(kpirl_mpc_system *s, const real *H, const real *weights) {
   const int T = s->horizon, n_s = s->n_states, n_u = s->n_actions, n_x = n_s + n_u;
   kpirl_mpc_factors *factors = &s->factors;
@@ -141,8 +134,8 @@ void kpirl_mpc_factor_weighted(kpirl_mpc_system *s, const real *H, const real *w
     else
       memcpy(M, H + (size_t)t * n_x * n_x, (size_t)n * n * sizeof(real));
     for (i = 0; i < n; ++i) M[i + i * n] += diagonal[t * n_x + i];
-    add_rows(s->G + (size_t)t * n_x * s->n_path, n, last ? s->n_terminal : s->n_path, path + t * s->n_path, M);
-    add_rows(s->E + (size_t)t * n_x * s->n_equality, n, last ? s->n_terminal_equality : s->n_equality,
+    kpirl_mpc_add_rows(s->G + (size_t)t * n_x * s->n_path, n, last ? s->n_terminal : s->n_path, path + t * s->n_path, M);
+    kpirl_mpc_add_rows(s->E + (size_t)t * n_x * s->n_equality, n, last ? s->n_terminal_equality : s->n_equality,
              equality + t * s->n_equality, M);
     if (last)
       kpirl_mpc_mirror(M, n_s);

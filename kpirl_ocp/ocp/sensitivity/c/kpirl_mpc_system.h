@@ -98,6 +98,10 @@ real kpirl_mpc_system_qualification(kpirl_mpc_system *system, const real *start)
 int kpirl_mpc_system_inner_scratch(const kpirl_mpc_system *system); /* that products and factors take, at the front */
 /* kpirl_mpc_system_balance, and the values (m) of the rows */
 void kpirl_mpc_balance_and_rows(const kpirl_mpc_system *system, const kpirl_mpc_triple *point, real *balance, real *values);
+/* A value relative to a size that may be zero; the larger of two, infinite if one is NaN. */
+real kpirl_mpc_over(real value, real size);
+real kpirl_mpc_worse(real a, real b);
+void kpirl_mpc_copy_triple(const kpirl_mpc_system *system, const kpirl_mpc_triple *from, kpirl_mpc_triple *to);
 real kpirl_mpc_decision_norm(const kpirl_mpc_system *system, const real *x);
 /* Factors of H + C' weights C, of an effort |decisions by their roots|^2 instead of H where that is NULL. */
 void kpirl_mpc_factor_weighted(kpirl_mpc_system *system, const real *H, const real *weights);

@@ -165,3 +165,15 @@ void kpirl_mpc_mirror(real *a, int n) {
   for (j = 0; j < n; ++j)
     for (i = j + 1; i < n; ++i) a[j + i * n] = a[i + j * n];
 }
+
+void kpirl_mpc_add_rows(const real *columns, int n, int rows, const real *weights, real *M) {
+  int i, j, r;
+  for (r = 0; r < rows; ++r) {
+    const real *restrict a = columns + r * n;
+    for (j = 0; j < n; ++j) {
+      const real factor = weights[r] * a[j];
+      if (factor == 0) continue;
+      for (i = j; i < n; ++i) M[i + j * n] += factor * a[i];
+    }
+  }
+}

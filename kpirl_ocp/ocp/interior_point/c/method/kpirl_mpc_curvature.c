@@ -6,6 +6,7 @@
 
 #include <string.h>
 
+static const real SHORTENED = (real)0.25; /* from one length to the next */
 static const real FLAT = (real)1e-8;      /* curvature, relative to the largest, that counts as none */
 
 /* A direction along which the Hessian of the last factors is negative, from the most negative pivot: the step becomes
@@ -44,24 +45,23 @@ static int find_negative_curvature(kpirl_mpc_core *core) {
   return kpirl_mpc_all_finite(change->x, kpirl_mpc_n_point(core));
 }
 
-/* Move off a stationary point along negative curvature, to where the barrier function is lower. */
-static int move_off(kpirl_mpc_core *core, real sign, real shortest) {
+static void turn(kpirl_mpc_core *core) {
   const int n_w = kpirl_mpc_n_point(core), m = kpirl_mpc_n_inequalities(core);
-  kpirl_mpc_step *step = &core->step;
-  kpirl_mpc_merit trial;
-  const real phi = core->d.objective - core->tau * kpirl_mpc_log_sum(core->at.y, m);
-  real length;
   int i;
-  for (i = 0; i < n_w; ++i) step->change.x[i] *= sign;
-  for (i = 0; i < m; ++i) step->change.y[i] *= sign;
-  step->tau = core->tau;
-  step->share = KPIRL_MPC_BOUNDARY;
-  step->dual_length = 0;
-  for (length = 1; length >= shortest; length /= 2) {
+  for (i = 0; i < n_w; ++i) core->step.change.x[i] = -core->step.change.x[i];
+  for (i = 0; i < m; ++i) core->step.change.y[i] = -core->step.change.y[i];
+}
+
+/* Move along the step, of curvature -1, to where the barrier function is lower. */
+static int move_off(kpirl_mpc_core *core, real shortest) {
+  const real phi = core->d.objective - core->tau * kpirl_mpc_log_sum(core->at.y, kpirl_mpc_n_inequalities(core));
+  kpirl_mpc_merit trial;
+  real length;
+  for (length = 1; length >= shortest; length *= SHORTENED) {
     ++core->trials;
     kpirl_mpc_try(core, length, 0, &trial);
     if (trial.theta <= core->filter.small && trial.phi < phi - (real)0.1 * length * length) {
-      step->primal_length = length;
+      core->step.primal_length = length;
       kpirl_mpc_arrive(core, KPIRL_MPC_SECOND);
       return 1;
     }
@@ -69,12 +69,19 @@ static int move_off(kpirl_mpc_core *core, real sign, real shortest) {
   return 0;
 }
 
-/* At a point that meets the first-order conditions: 0 where it is a minimum, a flat one too, 1 where it is none and was left, -1 where it is
- * none and no way led down from it, be it as short as `shortest` times the direction. */
+/* At a point that meets the first-order conditions: 0 where it is a minimum, a flat one too, 1 where it is none and was left, -1
+ * where it is none and no way led down from it, be it as short as `shortest` times the direction. */
 int kpirl_mpc_escape(kpirl_mpc_core *core, real shortest) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), n_H = T * n_x * n_x + n_s * n_s;
+  kpirl_mpc_step *step = &core->step;
   core->trials = 0;
   if (kpirl_mpc_factorise(core, 0) || kpirl_mpc_factorise(core, FLAT * kpirl_mpc_largest(core->d.H, n_H))) return 0;
   if (!find_negative_curvature(core)) return -1;
-  return move_off(core, 1, shortest) || move_off(core, -1, shortest) ? 1 : -1;
+  step->tau = core->tau;
+  step->share = KPIRL_MPC_BOUNDARY;
+  step->dual_length = 0;
+  if (kpirl_mpc_slope(core) > 0) turn(core);
+  if (move_off(core, shortest)) return 1;
+  turn(core);
+  return move_off(core, shortest) ? 1 : -1;
 }

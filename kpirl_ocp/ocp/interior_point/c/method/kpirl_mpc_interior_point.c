@@ -125,7 +125,7 @@ static kpirl_mpc_status advance(kpirl_mpc_core *core) {
     real length, objective;
     if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
     if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
-    if (!kpirl_mpc_find_positive_step(core, 0)) return why_stuck(core);
+    if (!kpirl_mpc_find_positive_step(core, 0, 0)) return why_stuck(core);
     length = core->step.primal_length;
     for (i = 0; i < n_w; ++i) core->trial.x[i] = at->x[i] + length * change->x[i];
     for (i = 0; i < n_costates; ++i) core->trial.costates[i] = at->costates[i] + length * change->costates[i];

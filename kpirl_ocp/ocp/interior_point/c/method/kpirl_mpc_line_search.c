@@ -7,16 +7,17 @@
 #include <string.h>
 
 static const real SHORTEST = (real)1e-10; /* step length below which a line search gives up */
-static const real TINY = (real)1e-12;     /* relative step below which rounding decides, so that it is taken as it is */
+static const real TINY = (real)1e-12;     /* relative Newton step below which rounding decides, so that it is taken as it is */
 static const real USEFUL = (real)0.01;     /* fraction of a corrected step below which plain Newton steps do better */
 static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
 static const real SMALL = (real)1e-3;      /* violation that counts as little */
 static const real KEPT = (real)1e-4;       /* share of its start above which tau stays until violation and gradient fall */
+static const real STATIONARY = (real)0.1; /* share of its largest that the gradient has near a saddle */
 static const real WORTHWHILE = (real)0.05; /* shortest step off a saddle of a barrier problem */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
 
 /* Derivative of J - tau sum log y along the step. */
-static real slope_of(const kpirl_mpc_core *core) {
+real kpirl_mpc_slope(const kpirl_mpc_core *core) {
   const kpirl_mpc_iterate *change = &core->step.change;
   const int m = kpirl_mpc_n_inequalities(core);
   real barrier = 0;
@@ -51,8 +52,9 @@ void kpirl_mpc_arrive(kpirl_mpc_core *core, int level) {
 static int move_along(kpirl_mpc_core *core, real least) {
   const kpirl_mpc_step *step = &core->step;
   const int n_w = kpirl_mpc_n_point(core);
-  const int tiny = kpirl_mpc_largest(step->change.x, n_w) <= TINY * (1 + kpirl_mpc_largest(core->at.x, n_w));
-  const real slope = slope_of(core);
+  const real largest = kpirl_mpc_largest(step->change.x, n_w);
+  const int tiny = step->regularisation == 0 && largest <= TINY * (1 + kpirl_mpc_largest(core->at.x, n_w));
+  const real slope = kpirl_mpc_slope(core);
   const real shortest = kpirl_mpc_larger(SHORTEST, least * step->primal_length);
   real length = step->primal_length;
   kpirl_mpc_merit before, trial;
@@ -82,11 +84,12 @@ static void hold_tau(kpirl_mpc_core *core) {
   if (core->tau != before) kpirl_mpc_start_filter(core);
 }
 
-/* Where the barrier problem is solved though its Hessian is not positive: off this point, once for each tau; else to the next
- * tau (Waechter and Biegler, 2006, section 2.1). Returns whether it moved. */
+/* Where the barrier problem is solved though its Hessian is not positive: off this point, once for each tau, if the gradient is
+ * small, too; else to the next tau (Waechter and Biegler, 2006, section 2.1). Returns whether it moved. */
 static int leave_saddle(kpirl_mpc_core *core, real least) {
   const real tau = core->tau, lower = kpirl_mpc_smaller((real)0.2 * tau, kpirl_mpc_power(tau, (real)1.5));
-  if (tau < core->escaped_tau && kpirl_mpc_escape(core, WORTHWHILE) > 0) {
+  const real gradient = kpirl_mpc_largest(core->d.gradient, kpirl_mpc_n_point(core));
+  if (tau < core->escaped_tau && gradient <= STATIONARY * core->most_gradient && kpirl_mpc_escape(core, WORTHWHILE) > 0) {
     core->escaped_tau = tau;
     return 1;
   }
@@ -112,12 +115,13 @@ static real kept_tau(kpirl_mpc_core *core, real least) {
   return kpirl_mpc_larger(least, kpirl_mpc_smaller(KEPT * core->start_tau * left, core->tau));
 }
 
-/* Move along a Newton step, regularised until the filter accepts it. Returns whether it moved. */
-int kpirl_mpc_newton_iterate(kpirl_mpc_core *core) {
+/* Move along a Newton step, regularised until the filter accepts it, from the first where the Hessian is known to be `indefinite`.
+ * Returns whether it moved. */
+int kpirl_mpc_newton_iterate(kpirl_mpc_core *core, int indefinite) {
   real rho = 0;
   int attempt;
   for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
-    if (!kpirl_mpc_find_positive_step(core, rho)) return 0;
+    if (!kpirl_mpc_find_positive_step(core, rho, indefinite && attempt == 0)) return 0;
     if (move_along(core, 0)) return 1;
     rho = kpirl_mpc_larger(100 * core->step.regularisation, (real)1e-4);
   }
@@ -140,10 +144,9 @@ int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least) {
       core->tau = core->step.tau;
       kpirl_mpc_start_filter(core);
     }
-    if (move_along(core, USEFUL)) return 1;
-  } else {
-    hold_tau(core);
-    if (kpirl_mpc_subproblem_solved(core) && leave_saddle(core, least)) return 1;
+    return move_along(core, USEFUL) || kpirl_mpc_newton_iterate(core, 0);
   }
-  return kpirl_mpc_newton_iterate(core);
+  hold_tau(core);
+  if (kpirl_mpc_subproblem_solved(core) && leave_saddle(core, least)) return 1;
+  return kpirl_mpc_newton_iterate(core, 1);
 }

@@ -19,19 +19,6 @@ static const real ROUNDING = 1000 * KPIRL_MPC_EPSILON; /* the smallest share of 
 
 /* ---- the linear-quadratic problem --------------------------------------------------------------------------- */
 
-/* M (n, n), its lower triangle, += sum_r weight_r a_r a_r' for the columns a_r of `columns` (n, rows). */
-static void add_rows(const real *columns, int n, int rows, const real *weights, real *M) {
-  int i, j, r;
-  for (r = 0; r < rows; ++r) {
-    const real *restrict a = columns + r * n;
-    for (j = 0; j < n; ++j) {
-      const real factor = weights[r] * a[j];
-      if (factor == 0) continue;
-      for (i = j; i < n; ++i) M[i + j * n] += factor * a[i];
-    }
-  }
-}
-
 /* M: the condensed Hessian of stage t; diagonal: what bounds and regularisation add to all of x. */
 static void condense(const kpirl_mpc_core *core, int t, const real *diagonal, real *M) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
@@ -40,10 +27,10 @@ static void condense(const kpirl_mpc_core *core, int t, const real *diagonal, re
   int i;
   memcpy(M, d->H + t * n_x * n_x, (size_t)n * n * sizeof(real));
   for (i = 0; i < n; ++i) M[i + i * n] += diagonal[t * n_x + i];
-  add_rows(d->G + t * n_x * n_h, n, last ? DIM(core, n_terminal) : n_h, core->weights + kpirl_mpc_n_bounds(core) + t * n_h, M);
+  kpirl_mpc_add_rows(d->G + t * n_x * n_h, n, last ? DIM(core, n_terminal) : n_h, core->weights + kpirl_mpc_n_bounds(core) + t * n_h, M);
   if (n_e + DIM(core, n_terminal_equality) > 0) {
     const int rows = last ? DIM(core, n_terminal_equality) : n_e;
-    add_rows(d->E + t * n_x * n_e, n, rows, core->stiffness + core->n_fixed + t * n_e, M);
+    kpirl_mpc_add_rows(d->E + t * n_x * n_e, n, rows, core->stiffness + core->n_fixed + t * n_e, M);
   }
 }
 
@@ -75,9 +62,13 @@ int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
     kpirl_mpc_factor_stage(n_s, n_u, factors->P + (t + 1) * n_s * n_s, core->d.F + t * n_s * n_x, core->M, core->scratch,
                            factors->P + t * n_s * n_s, factors->W + t * n_u * n_u, factors->Y + t * n_u * n_s,
                            factors->pivots + t * n_u);
+    if (!all_positive(factors->pivots + t * n_u, n_u)) {
+      memset(factors->pivots, 0, (size_t)(t * n_u) * sizeof(real)); /* nobody needs the rest */
+      return 0;
+    }
   }
   if (n_free > 0) kpirl_mpc_factor_start(n_s, n_free, core->bounds.free_entries, factors->P, core->scratch, factors);
-  return all_positive(factors->pivots, T * n_u) && all_positive(factors->free_pivots, n_free);
+  return all_positive(factors->free_pivots, n_free);
 }
 
 /* The step for these factors and core->target, what y z is to become. */

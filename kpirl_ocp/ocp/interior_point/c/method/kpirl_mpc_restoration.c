@@ -43,7 +43,7 @@ static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real enough) {
     }
     if (core->iterations >= core->options.max_iterations || kpirl_mpc_core_late(core)) return KPIRL_MPC_NOT_RESTORED;
     core->trials = 0;
-    if (!kpirl_mpc_newton_iterate(core)) return KPIRL_MPC_NOT_RESTORED;
+    if (!kpirl_mpc_newton_iterate(core, 0)) return KPIRL_MPC_NOT_RESTORED;
     kpirl_mpc_log_iteration(core);
     ++core->iterations;
   }
