@@ -15,6 +15,7 @@ from problems import integrator
 from statements import S, U, state
 
 from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Riccati, Status, Trajectory
+from kpirl_ocp.ocp.problem.threads import one_at_a_time
 
 SOLVERS = [Ipopt(), Fatrop(), SQP()]
 LINEAR = ca.vertcat(S[0] + 0.1 * S[1], S[1] + 0.1 * U)
@@ -129,6 +130,18 @@ def test_ctrl_c_ends_a_solve_and_is_no_status(solver):
     threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
         solve_for(60, solver, problem)
+
+
+@pytest.mark.parametrize("cause", [KeyboardInterrupt(), ValueError()], ids=repr)
+def test_ctrl_c_that_comes_while_casadi_hands_over_numbers_is_ctrl_c(cause):
+    """DM.__array__ makes a SystemError of any exception; others stay one."""
+
+    @one_at_a_time
+    def convert():
+        raise SystemError("<function DM.__array__> returned a result with an exception set") from cause
+
+    with pytest.raises(KeyboardInterrupt if isinstance(cause, KeyboardInterrupt) else SystemError):
+        convert()
 
 
 def solve_for(seconds, solver, problem):
