@@ -75,9 +75,12 @@ def plus_minus(mean: float, deviation: float) -> str:
 
 
 def spread(values: ArrayLike) -> str:
-    """Mean and standard deviation of values (runs,); one run has no deviation."""
+    """Mean and standard deviation of values (runs,), which is 0 where it is rounding; one run has no deviation."""
     runs = np.asarray(values, float)
-    return plus_minus(runs.mean(), (runs - runs[0]).std()) if len(runs) > 1 else digits(float(runs[0]), 3)
+    if len(runs) == 1:
+        return digits(float(runs[0]), 3)
+    deviation = runs.std()
+    return plus_minus(runs.mean(), 0.0 if deviation < 1e-12 * np.abs(runs).max() else deviation)
 
 
 def digits(value: float, count: int) -> str:

@@ -176,11 +176,24 @@ def test_a_table_aligns_numbers_to_the_right_and_text_to_the_left(tmp_path):
     written = page.write(tmp_path / "report.html").read_text()
     assert '<th>4 costs</th><th class="number">loss</th><th>here</th>' in written
     assert '<td>5</td><td class="number"></td><td>same</td>' in written
+    assert "<table><tr>" in written
+
+
+def test_a_table_of_words_alone_is_as_narrow_as_a_phone(tmp_path):
+    page = Page("A report")
+    page.table(["section", "the paper", "here"], [["4", "psi by gradient descent " * 4, "same"]])
+    written = page.write(tmp_path / "report.html").read_text()
+    assert '<table class="words"><tr><th>section</th><th class="long">the paper</th><th>here</th>' in written
 
 
 def test_one_run_has_no_deviation():
     assert spread([175.2]) == "175"
     assert spread([174.0, 176.0]) == "175 ± 1"
+
+
+def test_rounding_is_no_deviation():
+    assert spread([0.1 + 0.2, 0.3, 0.3]) == "0.3 ± 0"
+    assert spread([1.0, 1.0 + 1e-9]) == "1 ± 5e-10"
 
 
 @pytest.mark.parametrize(

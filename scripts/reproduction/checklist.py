@@ -186,7 +186,7 @@ ROWS = (
     Row(
         "5.2.1",
         "TimeDep and RBF do much better than Default; Weighted on one start only (Table 1).",
-        claims=("Placing from start 1, one step", "Placing from start 2, one step"),
+        claims=("Placing from start 1, one step", "Placing from start 2, one step", "Placing, one step"),
     ),
     Row("5.2.1", "Standard deviations over executions.", "same, beside those over seeds"),
     Row("5", "Hardware: a Kuka iiwa and a camera.", "not tested: all of it is simulated (PyBullet)"),

@@ -40,9 +40,9 @@ class Contender:
     @property
     def label(self) -> str:
         """Name in tables and figures."""
-        first = {"unrolled": self.cost, "apprenticeship": "Apprenticeship", "default": "Default"}
         method, *rest = self.method.split(", ")
-        return ", ".join([first.get(method, f"{self.cost}, {method}"), *rest])
+        first = {"unrolled": self.cost, "implicit": f"{self.cost}, converged"}.get(method, method.capitalize())
+        return ", ".join([first, *rest])
 
     def inner_loop(self, chosen: InnerLoop) -> InnerLoop:
         """The paper's, or the one that was chosen; it also sets the effort of the converged problem."""

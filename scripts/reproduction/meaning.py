@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from kpirl_ocp.reporting import plus_minus
+from kpirl_ocp.reporting import digits, plus_minus
 from kpirl_ocp.types import Array
 from reproduction import axes, background, drawing
 from reproduction.drawing import Bars
@@ -125,9 +125,10 @@ def _axes(outcome: Outcome, contender: Contender, count: int, found: list[Array]
     gains = outcome.reaching(contender, count, "gains")
     pairs = [(w[:, 0::2].mean(), w[:, 1::2].mean()) for w in found]
     held = [w.mean(axis=0) * g for w, g in zip(found, gains, strict=True)]
-    ratio = np.mean([np.abs(h[1::2]).sum() / np.abs(h[0::2]).sum() for h in held])
+    with np.errstate(divide="ignore"):  # infinite where x is not held at all
+        ratio = np.mean([np.abs(h[1::2]).sum() / np.abs(h[0::2]).sum() for h in held])
     losses = [spread(outcome.without_axis(contender, count, key)) for key in axes.KEYS]
-    return [spread([x for x, _ in pairs]), spread([y for _, y in pairs]), f"{ratio:.2f}", *losses]
+    return [spread([x for x, _ in pairs]), spread([y for _, y in pairs]), digits(float(ratio), 3), *losses]
 
 
 def red_keypoint(page: Page, outcome: Outcome) -> None:

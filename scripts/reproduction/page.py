@@ -21,18 +21,25 @@ body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem aut
 table {{ border-collapse: collapse; margin: 1rem 0; font-size: 0.9rem; }}
 th, td {{ border-bottom: 1px solid #ccc; padding: 0.25rem 0.7rem; text-align: left; vertical-align: top; }}
 td + td {{ min-width: 9rem; }} /* of text */
+.words td {{ min-width: 0; }} .words .long {{ min-width: 18rem; }}
 .number {{ text-align: right; }} td.number {{ white-space: nowrap; min-width: 0; }}
 .wide {{ overflow-x: auto; }} nav ul {{ padding-left: 1.2rem; }} nav .level3 {{ margin-left: 1.2rem; }}
 img {{ max-width: 100%; height: auto; }} figure {{ margin: 1.5rem 0; }}
 figcaption, .note {{ color: #555; font-size: 0.9rem; }}
 pre {{ background: #f5f5f5; padding: 0.7rem; overflow-x: auto; font-size: 0.8rem; }}
-@media (max-width: 45rem) {{ .wide img {{ max-width: none; }} }} /* figures keep the size of their text */
+@media (max-width: 45rem) {{
+  .wide img {{ max-width: none; }} /* figures keep the size of their text */
+  .words .long {{ min-width: 0; }} th, td {{ padding: 0.25rem 0.4rem; }}
+}}
 </style></head><body>
 <h1>{title}</h1>
 <nav><ul>{contents}</ul></nav>
 {body}
 </body></html>
 """
+
+
+_NUMBER = ' class="number"'
 
 
 class Page:
@@ -58,10 +65,11 @@ class Page:
         """A table; numbers get four digits. All columns of text begin at the left, and the first one in any case."""
         cells = [[_cell(value) for value in row] for row in rows]
         columns = enumerate(zip(header, *cells, strict=True))
-        kinds = [' class="number"' if place and _numeric(column[1:]) else "" for place, column in columns]
+        kinds = [_kind(column[1:]) if place else "" for place, column in columns]
         lines = [_row("th", header, kinds), *(_row("td", row, kinds) for row in cells)]
         table = "".join(f"<tr>{line}</tr>" for line in lines)
-        self._parts.append(f'<div class="wide"><table>{table}</table></div>')
+        words = "" if _NUMBER in kinds else ' class="words"'
+        self._parts.append(f'<div class="wide"><table{words}>{table}</table></div>')
         if note:
             self._parts.append(f'<p class="note">{html.escape(note)}</p>')
 
@@ -95,6 +103,13 @@ class Page:
 def _row(tag: str, cells: Sequence[str], kinds: Sequence[str]) -> str:
     pairs = zip(cells, kinds, strict=True)
     return "".join(f"<{tag}{kind}>{html.escape(cell)}</{tag}>" for cell, kind in pairs)
+
+
+def _kind(column: Sequence[str]) -> str:
+    """The class of a column's cells."""
+    if _numeric(column):
+        return _NUMBER
+    return ' class="long"' if max(map(len, column), default=0) > 40 else ""
 
 
 def _numeric(column: Sequence[str]) -> bool:

@@ -103,7 +103,8 @@ def _simulation(page: Page, outcome: Outcome) -> None:
         panels = {
             f"{task}: {what}": {m: [run[f"{m}/{what}"] for run in runs] for m in DRAWN} for what in ("train", "test")
         }
-        page.figure(drawing.curves(panels, "IRL loss [m²]"), f"{task}: training and test loss over outer iterations")
+        caption = f"{task}: training and test loss over outer iterations; to the letter every 50th is drawn"
+        page.figure(drawing.curves(panels, "IRL loss [m²]"), caption)
         for method in STUDY_METHODS:
             kept = [
                 [run[f"{method}/{what}"][run[f"{method}/best"]] for run in runs]
@@ -143,7 +144,7 @@ def _reaching_curves(page: Page, outcome: Outcome) -> None:
     page.figure(drawing.curves(panels, _LOSS), "IRL loss over training; bands from lowest to highest seed")
     panels = {
         f"{demonstrations(count)}, {name}": {c.cost: outcome.reaching(c, count, "losses") for c in group}
-        for name, group in (("more steps", MORE_STEPS), ("implicit", IMPLICIT))
+        for name, group in (("more steps", MORE_STEPS), ("converged", IMPLICIT))
         for count in counts
     }
     caption = "The same with more inner steps, and with the converged inner problem and the implicit gradient (L-BFGS)"
@@ -162,11 +163,8 @@ def _reaching_distances(page: Page, outcome: Outcome, contenders: Sequence[Conte
 
 
 def _reaching_weights(page: Page, outcome: Outcome) -> None:
-    most = max(outcome.preset.demonstrations)
-
-    def runs(contender: Contender, key: str) -> list[Array]:
-        return outcome.reaching(contender, most, key)
-
+    counts = outcome.preset.demonstrations
+    most = max(counts)
     for name, group in (
         ("one step", UNROLLED),
         ("to the letter", LITERAL),
@@ -174,8 +172,13 @@ def _reaching_weights(page: Page, outcome: Outcome) -> None:
         ("converged", IMPLICIT),
     ):
         caption = f"{name}: learned weights per keypoint (colour) and axis, {demonstrations(most)}, mean over time"
-        meaning.figure(page, runs, group, halves=False, caption=caption)
-    meaning.known(page, runs, f"reaching, {demonstrations(most)}")
+        meaning.figure(page, _learned(outcome, most), group, halves=False, caption=caption)
+    for count in counts:
+        meaning.known(page, _learned(outcome, count), f"reaching, {demonstrations(count)}")
+
+
+def _learned(outcome: Outcome, count: int) -> meaning.Runs:
+    return lambda contender, key: outcome.reaching(contender, count, key)
 
 
 def _reaching_table(page: Page, outcome: Outcome, contenders: Sequence[Contender]) -> None:
@@ -213,7 +216,7 @@ def _placing(page: Page, outcome: Outcome) -> None:
         "to the letter": {c.cost: outcome.placing(c, "losses") for c in LITERAL},
         "small start": {c.cost: outcome.placing(c, "losses") for c in SMALL_START},
         "more steps": {c.cost: outcome.placing(c, "losses") for c in MORE_STEPS},
-        "implicit": {c.cost: outcome.placing(c, "losses") for c in IMPLICIT},
+        "converged": {c.cost: outcome.placing(c, "losses") for c in IMPLICIT},
     }
     page.figure(drawing.curves(panels, _LOSS), "IRL loss over training on one demonstration")
     for name, group in (("one step", UNROLLED), ("to the letter", LITERAL), ("more steps", MORE_STEPS)):
