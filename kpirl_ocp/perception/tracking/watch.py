@@ -25,10 +25,15 @@ LONGEST = 640  # longer side of the frames in which an object is followed [pixel
 class Film:
     """A part of a video, or of a folder of pictures at `source_rate` [Hz], from `start` to `end` [s]."""
 
-    path: Path
+    path: str | Path
     source_rate: float | None = None
     start: float = 0.0
     end: float = np.inf
+
+    @property
+    def name(self) -> str:
+        """The file's name, without its folder."""
+        return Path(self.path).name
 
     def frames(self) -> Iterator[tuple[float, Frames]]:
         """Times [s] from zero on, and images (H, W, 3) of at most `LONGEST` pixels; read again by every call."""
@@ -74,7 +79,7 @@ def follow_hand(film: Film, landmarks: Sequence[int] = PALM) -> Tracks:
     """
     times, positions, confidence = [], [], []
     before: Array | None = None
-    for time, image in tqdm(film.frames(), f"follow the hand in {film.path.name}", unit="frame"):
+    for time, image in tqdm(film.frames(), f"follow the hand in {film.name}", unit="frame"):
         found = find_hands(image)
         if before is None and not found:
             raise DemonstrationError(f"{film.path} shows no hand at {film.start + time:.2f} s: start where it does.")
@@ -99,7 +104,7 @@ def _nearest(found: list[Hand], before: Array | None) -> Hand | None:
 def follow_object(film: Film, mask: Mask, keypoints: Array | None = None) -> Tracks:
     """Tracks of keypoints (K, 2) [pixels of the first frame] on the object; by default four, spread over it."""
     height, width = mask.shape
-    frames = tqdm(film.frames(), f"follow {film.path.name}", unit="frame")
+    frames = tqdm(film.frames(), f"follow {film.name}", unit="frame")
     return of_object(track(frames, mask), spread(mask) if keypoints is None else keypoints, (width, height))
 
 
