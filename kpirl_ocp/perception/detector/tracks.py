@@ -44,7 +44,7 @@ def detector_tracks(film: Film, card: Path) -> Tracks:
     detector = KeypointDetector.load(card)
     times, positions, confidence = [], [], []
     size = (0, 0)
-    for time, image in tqdm(film.frames(), f"detect in {film.path.name}", unit="frame"):
+    for time, image in tqdm(film.frames(), f"detect in {film.name}", unit="frame"):
         height, width = image.shape[:2]
         side, size = min(height, width), (width, height)
         corner = np.array([(width - side) // 2, (height - side) // 2])
