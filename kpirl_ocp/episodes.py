@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.sizes import check_bytes, read_json
 from kpirl_ocp.types import Array
 
@@ -39,8 +40,8 @@ def stored(key: str, dtype: DTypeLike, *shape: int | str) -> Any:
     return field(metadata={"key": key, "dtype": np.dtype(dtype), "shape": shape})
 
 
-@dataclass(frozen=True, eq=False)
-class Episode:
+@dataclass(frozen=True, eq=False, repr=False)
+class Episode(Brief):
     """One demonstration.
 
     joints: (T+1, n_joints) [rad]. keypoints: (T+1, K, 3) [m]. actions: (T, n_joints) [rad]. times: (T+1,) [s].

@@ -1,4 +1,4 @@
-"""The pictures that results show of themselves in a notebook, and the style of all figures.
+"""The pictures that results show in a notebook, the text that records show in a console, and the style of all figures.
 
 matplotlib takes as long to import as the rest of the package, so it is loaded when something is drawn.
 """
@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import html
 import io
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 # Okabe and Ito's palette, legible for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 GREY = "#888888"
+_FEW = 8  # numbers that a text shows
 
 # Sizes in points for figures of at most PAGE inches, which are shown as wide as they are.
 PAGE = 10.0
@@ -112,3 +114,22 @@ def card(headline: str, facts: Mapping[str, str], picture: str) -> str:
     """HTML: a headline, a table of facts, and a picture."""
     rows = "".join(f"<tr><td>{html.escape(k)}</td><td>{html.escape(v)}</td></tr>" for k, v in facts.items())
     return f"<div><strong>{html.escape(headline)}</strong><table>{rows}</table>{picture}</div>"
+
+
+class Brief:
+    """For dataclasses with `repr=False`: their text has the shapes of arrays, and the numbers of short ones."""
+
+    def __repr__(self) -> str:
+        shown = [f"{field.name}={_brief(getattr(self, field.name))}" for field in fields(self) if field.repr]  # type: ignore[arg-type]
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _brief(value: Any) -> str:
+    if hasattr(value, "shape"):
+        shape = tuple(value.shape)
+        return f"<array {shape}>" if math.prod(shape) > _FEW else str(value.tolist())
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{name!r}: {_brief(part)}" for name, part in value.items()) + "}"
+    if isinstance(value, list | tuple) and len(value) > 1:
+        return f"<{len(value)} {type(value[0]).__name__}>"
+    return repr(value)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kpirl_ocp.errors import ProblemError, SolveError
-from kpirl_ocp.pictures import Panel, card, draw, svg
+from kpirl_ocp.pictures import Brief, Panel, card, draw, svg
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,8 +38,8 @@ def floats(name: str, value: ArrayLike) -> Array:
     return np.asarray(array, float)
 
 
-@dataclass(frozen=True)
-class Trajectory:
+@dataclass(frozen=True, repr=False)
+class Trajectory(Brief):
     """States and actions over a horizon of T steps.
 
     states: (T+1, n_s).
@@ -50,8 +50,8 @@ class Trajectory:
     actions: Array
 
 
-@dataclass(frozen=True)
-class Demonstration:
+@dataclass(frozen=True, repr=False)
+class Demonstration(Brief):
     """The observations of one demonstration, its initial state and its context.
 
     s0: (n_s,) initial state.
@@ -95,8 +95,8 @@ class Demonstration:
         return len(self.observations) - 1 if self.frames is None else int(self.frames[-1])
 
 
-@dataclass(frozen=True, eq=False)
-class Sight:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sight(Brief):
     """One look of a robot: detected keypoints and measured joints at the same moment.
 
     keypoints: (K, 3), x and y [half an image] and the confidence mu in [0, 1].
@@ -136,8 +136,8 @@ class Status(Enum):
         return self in (Status.CONVERGED, Status.STEPS_TAKEN, Status.ACCEPTABLE)
 
 
-@dataclass(frozen=True)
-class Multipliers:
+@dataclass(frozen=True, repr=False)
+class Multipliers(Brief):
     """Lagrange multipliers of
 
         J + dynamics . (f - s_next) + state . s + action . u + path . h + path_equality . e

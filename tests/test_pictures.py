@@ -14,6 +14,7 @@ import pytest
 from kpirl_ocp import LBFGS, OCP, Demonstration, Implicit, Riccati, learn
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.figures import colours, new_figure, panels_of_bands, wrapped_figure
+from kpirl_ocp.perception.data.formats import Take
 from kpirl_ocp.pictures import COLOURS, GREY, PAGE, svg_file
 from kpirl_ocp.reporting import plus_minus, spread
 from kpirl_ocp.viewing.plots import plot
@@ -67,6 +68,20 @@ def test_a_notebook_shows_a_picture_that_any_browser_draws(results, kind):
 def test_what_a_console_prints_is_short(results, kind):
     assert len(repr(results[kind])) < 500
     assert "array(" not in repr(results[kind])
+
+
+def test_a_record_of_arrays_prints_their_shapes_and_the_numbers_of_short_ones(results):
+    solution = results["solution"]
+    seen = Demonstration([0, 0], [], solution.states)
+    assert repr(seen) == (
+        "Demonstration(s0=[0.0, 0.0], context=[], observations=<array (13, 2)>, actions=None, frames=None)"
+    )
+    take = Take({"action": solution.actions}, np.arange(12.0), {"camera": np.zeros((12, 4, 4, 3), np.uint8)}, "wave")
+    assert repr(take) == (
+        "Take(arrays={'action': <array (12, 1)>}, times=<array (12,)>, "
+        "videos={'camera': <array (12, 4, 4, 3)>}, task='wave')"
+    )
+    assert repr(solution.trajectory) == "Trajectory(states=<array (13, 2)>, actions=<array (12, 1)>)"
 
 
 def test_the_picture_of_a_certificate_says_what_was_measured(results):

@@ -1,5 +1,7 @@
 """An OCP as a layer in PyTorch: trajectories of the solver, gradients that gradcheck believes, nothing silent."""
 
+import copy
+import pickle
 import re
 import subprocess
 import sys
@@ -36,6 +38,7 @@ def test_the_layer_gives_the_solutions_of_the_solver(name):
     assert plan.states.shape == (COUNT, problem.horizon + 1, problem.n_states)
     assert plan.actions.shape == (COUNT, problem.horizon, problem.n_actions)
     assert plan.solved.all()
+    assert len(repr(plan)) < 300
     for index, (psi, s0, context) in enumerate(zip(*(x.detach().numpy() for x in inputs), strict=True)):
         alone = Riccati().solve(problem, s0, psi, context)
         np.testing.assert_allclose(plan.states[index].detach(), alone.states, rtol=0, atol=1e-12)
@@ -237,6 +240,15 @@ def test_a_smoothed_gradient_is_that_of_the_smoothed_problem(solver):
         assert abs(2 * (u - p) + tau / (1 - u) - tau / (1 + u)) < 1e-6
         curvature = 2 + tau / (1 - u) ** 2 + tau / (1 + u) ** 2
         assert slope.item() == pytest.approx(2 / curvature.item(), rel=1e-5)
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda layer: pickle.loads(pickle.dumps(layer))])
+def test_a_layer_that_has_solved_can_be_copied_and_saved(again):
+    """As target networks in reinforcement learning are copied, and `torch.save` saves a whole module."""
+    problem, psi, s0 = two_steps()
+    layer = OCPLayer(problem)
+    plan = layer(psi, s0)
+    assert torch.equal(again(torch.nn.Sequential(layer))[0](psi, s0).actions, plan.actions)
 
 
 def test_a_failed_solve_raises_or_is_masked():

@@ -60,6 +60,10 @@ class Batch:
                 )
             object.__setattr__(self, "solver", self.solver.with_barrier(self.barrier))
 
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies and files: threads are not part of them."""
+        return {name: value for name, value in vars(self).items() if name != "_pool"}
+
     def solve(self, psi: Array, s0: Array, context: Array, guesses: Sequence[Guess]) -> list[Solved]:
         """Solve for psi (B, n_psi), s0 (B, n_s) and context (B, n_c), starting at the guesses.
 

@@ -25,13 +25,14 @@ from kpirl_ocp.ocp.problem.solver import Guess, Solver
 from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate
 from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Solution, Trajectory
 
 Tensor = torch.Tensor
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Brief):
     """A batch of optimal trajectories.
 
     states: (B, T+1, n_s), actions: (B, T, n_u), in the type of the inputs; functions of psi, s0 and context.

@@ -23,14 +23,15 @@ from kpirl_ocp.ocp.conditions.program import transcribe
 from kpirl_ocp.ocp.problem.layout import equality_multipliers, given, limits, n_inequalities, pack
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, Solver
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration
 
 _IPOPT = {"print_level": 0, "sb": "yes", "mu_init": 1e-3}  # a small barrier: the start is feasible
 _QUIET = {"print_time": False, "error_on_fail": False}
 
 
-@dataclass(frozen=True)
-class SingleLevelResult:
+@dataclass(frozen=True, repr=False)
+class SingleLevelResult(Brief):
     """psi: (n_psi,). loss: mean IRL loss of the plans in the program. success, status: what Ipopt says."""
 
     psi: Array

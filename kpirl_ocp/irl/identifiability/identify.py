@@ -26,14 +26,15 @@ from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 from kpirl_ocp.irl.hypergradients.loss import demonstrated_observations
 from kpirl_ocp.irl.identifiability.plan_jacobian import CONVERGED, plan_jacobian
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration, Mask
 
 _RANK = 1e-12  # eigenvalues below this share of the largest are rounding
 _OUTSIDE = 1e-6  # a combination with this share of its length among unknown directions is unknown
 
 
-@dataclass(frozen=True, eq=False)
-class Identification:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Brief):
     """Evidence of the demonstrations about psi.
 
     psi: (n_psi,) where the loss was linearised. information: F (n_psi, n_psi).

@@ -22,11 +22,12 @@ from kpirl_ocp.irl.learning.evaluation import evaluate
 from kpirl_ocp.irl.learning.margins import Rule, largest_margin
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration
 
 
-@dataclass(frozen=True)
-class ApprenticeshipResult:
+@dataclass(frozen=True, repr=False)
+class ApprenticeshipResult(Brief):
     """The history of the baseline.
 
     psi: (n_z,) with the lowest training loss. loss: that loss.

@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
 from kpirl_ocp.irl.learning.horizons import Problems, problems_of
 from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration, Mask, Solution
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, repr=False)
+class Evaluation(Brief):
     """Per demonstration: the planned solutions, IRL losses (n,) and relative distances (n,)."""
 
     solutions: tuple[Solution, ...]

@@ -34,11 +34,12 @@ from kpirl_ocp.ocp.sensitivity.evidence import measure
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, Memory, check_solution
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Solution
 
 
-@dataclass(frozen=True)
-class Gradients:
+@dataclass(frozen=True, repr=False)
+class Gradients(Brief):
     """Gradients of a function of the planned trajectory: psi (n_psi,), s0 (n_s,), context (n_c,)."""
 
     psi: Array
@@ -47,8 +48,8 @@ class Gradients:
     certificate: SensitivityCertificate
 
 
-@dataclass(frozen=True)
-class Tangent:
+@dataclass(frozen=True, repr=False)
+class Tangent(Brief):
     """The change of a planned trajectory: states (T+1, n_s), actions (T, n_u)."""
 
     states: Array

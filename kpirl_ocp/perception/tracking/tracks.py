@@ -21,6 +21,7 @@ from kpirl_ocp.errors import DemonstrationError, FileError
 from kpirl_ocp.perception.data.video import sampled
 from kpirl_ocp.perception.tracking.similarity import transform
 from kpirl_ocp.perception.tracking.tracker import Located
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.sizes import check_bytes, read_text
 from kpirl_ocp.types import Array, Mask
 
@@ -29,8 +30,8 @@ _VISIBLE = ("confidence", "visibility", "pred_visibility", "visible")
 _HIDDEN = ("occluded", "pred_occlusion")
 
 
-@dataclass(frozen=True, eq=False)
-class Tracks:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracks(Brief):
     """Keypoints in a film.
 
     times: (n,) [s]. positions: (n, K, 2) [pixels], x to the right and y down.

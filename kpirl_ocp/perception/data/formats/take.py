@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from kpirl_ocp.episodes import Episode
 from kpirl_ocp.errors import EpisodeError
 from kpirl_ocp.perception import data  # its names need packages for videos, which a table of numbers does not
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration
 
 if TYPE_CHECKING:
@@ -42,8 +43,8 @@ class VideoPart:
         return np.array(images)
 
 
-@dataclass(frozen=True, eq=False)
-class Take:
+@dataclass(frozen=True, eq=False, repr=False)
+class Take(Brief):
     """One episode of n steps.
 
     arrays: by name, each (n, ...) numbers, e.g. "observation.state" (n, n_joints) and "action" (n, n_u).
