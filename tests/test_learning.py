@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kpirl_ocp import GradientDescent, Implicit, Unrolled
+from kpirl_ocp import GradientDescent, Implicit, Riccati, Unrolled
 from kpirl_ocp.errors import CertificateError, FileError, ProblemError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.cases.examples import lqr, pendulum
@@ -138,6 +138,15 @@ def test_evaluation_reports_the_squared_keypoint_distance(placing):
     result = evaluate(problem, GradientDescent(2, 1e-2), np.ones(9), demonstrations)
     for plan, demo, loss in zip(result.solutions, demonstrations, result.losses, strict=True):
         np.testing.assert_allclose(loss, np.sum((plan.states[:, :9] - demo.observations) ** 2), rtol=1e-12)
+    assert result.failures == ""
+
+
+def test_an_evaluation_says_which_plans_failed(placing):
+    robot, demonstrations = placing
+    problem = keypoint_ocp(robot, KeypointCost(Weighted(), 0.1), 9)
+    result = evaluate(problem, Riccati(max_iterations=1), np.ones(9), demonstrations)
+    count = len(demonstrations)
+    assert result.failures.startswith(f"{count} of {count} plans failed; number 0: ITERATION_LIMIT: ")
 
 
 def test_a_learned_cost_plans_the_same_after_a_round_trip_through_its_file(tmp_path, placing):

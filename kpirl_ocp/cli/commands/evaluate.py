@@ -40,6 +40,9 @@ def main(args: Namespace) -> None:
     ]
     header = ["cost", "IRL loss [m²]", "std", "relative distance", "std"]
     print(table(header, [*rows, ["standing still", np.mean(still), np.std(still), 1.0, 0.0]]))
+    for name, result in results.items():
+        if result.failures:
+            print(f"{name}: {result.failures}")
 
     out = args.out
     figure, axes = figures.new_figure(1, 2)

@@ -139,6 +139,9 @@ def main(args: Namespace) -> None:
     }
     header = ["", "train: IRL loss [m²]", "relative distance", "test: IRL loss [m²]", "relative distance"]
     print("\n" + table(header, [[name, *means(plan, args.train)] for name, plan in plans.items()]))
+    for name, plan in plans.items():
+        if plan.failures:
+            print(f"{name}: {plan.failures}")
     print(
         f"\n{args.steps} outer iterations at most, {len(result.losses) - 1} taken, in {result.seconds[-1]:.1f} s; "
         f"every gradient certified: {'yes' if not result.uncertified.any() else 'no'}"

@@ -23,6 +23,15 @@ class Evaluation(Brief):
     losses: Array
     relative_distances: Array
 
+    @property
+    def failures(self) -> str:
+        """How many plans failed, and the first of them; empty if none did. Losses count them like the others."""
+        failed = [(index, plan) for index, plan in enumerate(self.solutions) if not plan.status.ok]
+        if not failed:
+            return ""
+        index, plan = failed[0]
+        return f"{len(failed)} of {len(self.solutions)} plans failed; number {index}: {plan}"
+
 
 def evaluate(
     problem: Problems,
