@@ -41,6 +41,10 @@ class DependencyError(KpirlError, ImportError):
     """An optional package is not installed; the message says how to install it."""
 
 
+class ResourceError(KpirlError, RuntimeError):
+    """A command would take more memory than the machine has."""
+
+
 class CompilerError(KpirlError, RuntimeError):
     """There is no C compiler, or it refused the generated code; the message holds its words."""
 

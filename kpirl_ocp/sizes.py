@@ -1,4 +1,4 @@
-"""Files from elsewhere: their sizes are looked at before memory is taken."""
+"""Sizes that are looked at before memory is taken: of files from elsewhere, and of problems."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+LONGEST = 1_000_000  # steps of a horizon, or of gradient descent
 LARGEST = 2 * 2**30  # [bytes] of one file, unpacked; an episode of camera images has some 10 MB
 _LARGEST_TEXT = 2**28  # [bytes]; a cost has some kB, the table of a large data set some MB
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kpirl_ocp.cli.main import experiment
 from kpirl_ocp.cli.parser import Parser
-from kpirl_ocp.cli.values import existing_directory, one_of, whole
+from kpirl_ocp.cli.values import MOST_PROCESSES, existing_directory, one_of, whole
 
 PRESETS = ("full", "tiny")
 BACKENDS = ("loky", "dask", "ray")
@@ -21,7 +21,7 @@ def add_options(parser: Parser) -> None:
         type=existing_directory,
         help="directory of detector.json, reaching.json, placing.json (default: shipped)",
     )
-    parser.add_argument("--jobs", type=whole(1), default=2, help="processes (default: 2)")
+    parser.add_argument("--jobs", type=whole(1, MOST_PROCESSES), default=2, help="processes (default: 2)")
     parser.add_argument(
         "--backend", type=one_of(BACKENDS), default="loky", help="loky (here, the default), dask or ray"
     )

@@ -4,10 +4,12 @@ import contextlib
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
 import time
+from argparse import ArgumentTypeError
 from dataclasses import fields
 from pathlib import Path
 
@@ -19,6 +21,7 @@ import kpirl_ocp
 from kpirl_ocp.cli.commands.export import SOLVERS as EXPORT_SOLVERS
 from kpirl_ocp.cli.commands.learn import OPTIMISERS
 from kpirl_ocp.cli.main import COMMANDS, options_of, run
+from kpirl_ocp.cli.parser import build_parser
 from kpirl_ocp.irl.cases.cost_files import BASES
 from kpirl_ocp.irl.cases.examples import CASES
 from kpirl_ocp.irl.cases.tasks import TASKS
@@ -124,6 +127,8 @@ print(sorted({{"numpy", "casadi", "pinocchio", "matplotlib", "scipy", "torch", "
 
 
 WHOLE = "expected a whole number of at least"
+MOST = "expected a whole number of at most"
+NINES = "9" * 5000  # more digits than Python reads
 WRONG = {  # words, beginning of the sentence
     "solv": "there is no command 'solv': did you mean 'solve'? (see `kpirl --help`)",
     "solve --steps -5": f"--steps: {WHOLE} 1, got '-5'.",
@@ -136,6 +141,11 @@ WRONG = {  # words, beginning of the sentence
     "solve --effort -1": "--effort: expected a finite number of at least 0, got '-1'.",
     "solve --max-displacement 0": "--max-displacement: expected a finite number above 0, got '0'.",
     "solve --step-size 1e-400": "--step-size: expected a finite number above 0, got '1e-400'.",
+    "solve --horizon 99999999999999999999": f"--horizon: {MOST} 1000000, got '99999999999999999999'.",
+    f"solve --horizon {NINES}": f"--horizon: {MOST} 1000000, got '{NINES}'.",
+    "solve --steps 1e30": f"--steps: {WHOLE} 1, got '1e30'.",
+    "solve --steps 1000001": f"--steps: {MOST} 1000000, got '1000001'.",
+    "solve --move 1e400 0 0": "--move: expected a finite number, got '1e400'.",
     "solve --hrizon 3": "there is no option --hrizon: did you mean '--horizon'?",
     "solve --hor 3": "there is no option --hor",
     "solve --solver ricati": "--solver: expected one of riccati, ipopt, fatrop, sqp, gradient, got 'ricati': "
@@ -171,6 +181,8 @@ WRONG = {  # words, beginning of the sentence
     "learn --inner-steps 0": f"--inner-steps: {WHOLE} 1, got '0'.",
     "learn --step-size 0": "--step-size: expected a finite number above 0, got '0'.",
     "learn --learning-rate nan": "--learning-rate: expected a finite number above 0, got 'nan'.",
+    "learn --seed 2147483648": f"--seed: {MOST} 2147483647, got '2147483648'.",
+    "learn --inner-steps 99999999999": f"--inner-steps: {MOST} 1000000, got '99999999999'.",
     "learn --method implicid": "--method: expected one of unrolled, implicit, got 'implicid': did you mean 'implicit'?",
     "learn --cost wieghted": "--cost: expected one of weighted, time, rbf, got 'wieghted': did you mean 'weighted'?",
     "learn --optimiser sgd": "--optimiser: expected one of adam, descent, lbfgs, got 'sgd'.",
@@ -198,7 +210,9 @@ WRONG = {  # words, beginning of the sentence
     "got 'keypoint': did you mean 'keypoints'?",
     "collect sines --episodes 0": f"--episodes: {WHOLE} 1, got '0'.",
     "collect sines --jobs 0": f"--jobs: {WHOLE} 1, got '0'.",
-    "collect sines --amplitude -1": "--amplitude: expected a finite number of at least 0, got '-1'.",
+    "collect sines --jobs 100000": f"--jobs: {MOST} 1024, got '100000'.",
+    "collect sines --amplitude -1": "--amplitude: expected a finite number of at least 0 and of at most 6.2832, got",
+    "collect hand-placing --seconds 1e300": "--seconds: expected a finite number of at least 0.1 and of at most 3600, ",
     "train-keypoints --data nowhere": "--data: there is no directory 'nowhere'.",
     "train-keypoints --data . --preset ful": "--preset: expected one of tiny, default, full, minderer, got 'ful': "
     "did you mean 'full'?",
@@ -217,6 +231,32 @@ def test_wrong_input_is_one_sentence(words, own, monkeypatch, capsys):
     (own.parent / "empty").mkdir()
     (own.parent / "unfinished.py").write_text("f(\n")
     assert refusal(words.split(), capsys).startswith(WRONG[words])
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_option_takes_a_number_that_c_or_memory_has_no_room_for(command):
+    options = build_parser(command, "", options_of(command).add_options).options().values()
+    for kind in {option.type for option in options if option.type}:
+        assert not any(isinstance(taken(kind, word), int) for word in ("99999999999999999999", NINES)), kind
+        assert not isinstance(taken(kind, "1e400"), float), kind
+
+
+def taken(kind, word):
+    with contextlib.suppress(ArgumentTypeError):
+        return kind(word)
+    return word
+
+
+def test_what_takes_more_memory_than_there_is_ends_in_one_sentence(tmp_path):
+    def limited():
+        resource.setrlimit(resource.RLIMIT_DATA, (2**30, 2**30))
+
+    words = [*KPIRL, "export", "--horizon", "1000000", "--out", str(tmp_path / "c")]
+    result = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False, preexec_fn=limited)
+    assert result.returncode == 2
+    assert result.stderr == (
+        "error: this takes more memory than the 1.0 GiB that there are: ask for fewer steps, episodes or processes.\n"
+    )
 
 
 @pytest.mark.parametrize("robot", ["iwa", "pnada"])

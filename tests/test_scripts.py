@@ -139,7 +139,7 @@ WRONG = {  # words, beginning of the sentence
     "identifiability.py --noise 0": "--noise: expected a finite number above 0, got '0'.",
     "identifiability.py --noise nan": "--noise: expected a finite number above 0, got 'nan'.",
     "identifiability.py --places 5 --demonstrations 6": "--demonstrations cannot be more than the --places",
-    "imitate_expert.py --starts 21": "--starts: expected a whole number from 1 to 20, got '21'.",
+    "imitate_expert.py --starts 21": "--starts: expected a whole number of at most 20, got '21'.",
     "simulation_study.py --seeds 0 -1": "--seeds: expected a whole number of at least 0, got '-1'.",
     "simulation_study.py --tasks plcing": "--tasks: expected one of reaching, placing, got 'plcing': "
     "did you mean 'placing'?",

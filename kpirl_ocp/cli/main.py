@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 
+from kpirl_ocp.cli.memory import within_memory
 from kpirl_ocp.cli.parser import Parser, build_parser, write_config
 from kpirl_ocp.cli.signals import stoppable
 from kpirl_ocp.errors import DependencyError, KpirlError, OptionError
@@ -113,7 +114,7 @@ def _read_and_work(parser: Parser, words: list[str], module: str) -> int:
     except SystemExit:  # after --help
         return 0
     prepare_directory(args.out)
-    with _hushed(args.quiet), stoppable():
+    with _hushed(args.quiet), stoppable(), within_memory():
         try:
             code, stopped = import_module(module).main(args) or 0, None
         except KeyboardInterrupt as stop:

@@ -3,32 +3,37 @@
 from __future__ import annotations
 
 import math
+import os
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from kpirl_ocp.spelling import suggestion
 
+MOST_PROCESSES = 1024  # or threads
 
-def whole(least: int, most: int | None = None) -> Callable[[str], int]:
-    """Whole numbers of at least `least`, and of at most `most`."""
-    expected = f"a whole number of at least {least}" if most is None else f"a whole number from {least} to {most}"
+
+def whole(least: int, most: int = 2**31 - 1) -> Callable[[str], int]:
+    """Whole numbers of at least `least`, and of at most `most`, by default the largest int of C."""
 
     def parse(word: str) -> int:
         try:
             value = int(word)
         except ValueError:
-            value = least - 1
-        if value < least or (most is not None and value > most):
-            raise ArgumentTypeError(f"expected {expected}, got {word!r}")
+            value = most + 1 if word.isdecimal() else least - 1  # Python reads 4300 digits
+        if value < least:
+            raise ArgumentTypeError(f"expected a whole number of at least {least}, got {word!r}")
+        if value > most:
+            raise ArgumentTypeError(f"expected a whole number of at most {most}, got {word!r}")
         return value
 
     return parse
 
 
-def real(*, least: float = -math.inf, above: float = -math.inf) -> Callable[[str], float]:
-    """Finite numbers, of at least `least` and larger than `above`."""
+def real(*, least: float = -math.inf, above: float = -math.inf, most: float = math.inf) -> Callable[[str], float]:
+    """Finite numbers, of at least `least`, larger than `above`, and of at most `most`."""
     bounds = [f"of at least {least:g}"] * (least > -math.inf) + [f"above {above:g}"] * (above > -math.inf)
+    bounds += [f"and of at most {most:g}"] * (most < math.inf)
     expected = " ".join(["a finite number", *bounds])
 
     def parse(word: str) -> float:
@@ -36,7 +41,7 @@ def real(*, least: float = -math.inf, above: float = -math.inf) -> Callable[[str
             value = float(word)
         except ValueError:
             value = math.nan
-        if not (math.isfinite(value) and value >= least and value > above):
+        if not (math.isfinite(value) and most >= value >= least and value > above):
             raise ArgumentTypeError(f"expected {expected}, got {word!r}")
         return value
 
@@ -57,21 +62,21 @@ def one_of(names: Iterable[str]) -> Callable[[str], str]:
 
 def existing_directory(word: str) -> Path:
     """A directory to read."""
-    if not Path(word).is_dir():
+    if not os.path.isdir(word):  # False as well for a name that cannot be
         raise ArgumentTypeError(f"there is no directory {word!r}")
     return Path(word)
 
 
 def existing_file(word: str) -> Path:
     """A file to read."""
-    if not Path(word).is_file():
+    if not os.path.isfile(word):
         raise ArgumentTypeError(f"there is no file {word!r}")
     return Path(word)
 
 
 def existing(word: str) -> Path:
     """A file or directory to read."""
-    if not Path(word).exists():
+    if not os.path.exists(word):
         raise ArgumentTypeError(f"there is no file or directory {word!r}")
     return Path(word)
 

@@ -9,33 +9,38 @@ The same command run again goes on where it was interrupted. Test data is a coll
 
 from argparse import ArgumentParser
 
-from kpirl_ocp.cli.values import one_of, real, whole
+from kpirl_ocp.cli.values import MOST_PROCESSES, one_of, real, whole
+from kpirl_ocp.sizes import LONGEST
 
 MOTIONS = ("keypoints", "sines", "placing", "reaching", "hand-placing", "hand-wandering")
+TURN = 6.2832  # [rad]
 SETTINGS = {  # name: type and help; each motion has its own defaults
-    "rate": (whole(1), "frames per second"),
+    "rate": (whole(1, 1000), "frames per second"),
     "surroundings": (
         whole(0),
         "0: white wall, 1: plain wall of any colour, 2: clutter, light, shake, noise and H.264, 3: any",
     ),
-    "frames": (whole(2), "of a sequence (keypoints)"),
-    "swing": (real(least=0), "largest amplitude of the last joint [rad] (keypoints)"),
-    "off_plane": (real(least=0), "largest angle of joints 1, 3 and 5 from the camera's plane [rad] (keypoints)"),
-    "steps": (whole(1), "actions of an episode (sines, placing, reaching)"),
-    "amplitude": (real(least=0), "largest amplitude of joints 2, 4 and 6 [rad] (sines)"),
-    "noise": (real(least=0), "standard deviation added to the actions of joints 2, 4 and 6 [rad] (placing)"),
-    "others": (real(least=0), "the same for the other joints [rad] (sines, placing)"),
-    "seconds": (real(least=0.1), "length of a clip (hand-placing, hand-wandering)"),
-    "tremor": (real(least=0), "standard deviation of the hand's wander [m] (hand-placing, hand-wandering)"),
+    "frames": (whole(2, LONGEST), "of a sequence (keypoints)"),
+    "swing": (real(least=0, most=TURN), "largest amplitude of the last joint [rad] (keypoints)"),
+    "off_plane": (
+        real(least=0, most=TURN),
+        "largest angle of joints 1, 3 and 5 from the camera's plane [rad] (keypoints)",
+    ),
+    "steps": (whole(1, LONGEST), "actions of an episode (sines, placing, reaching)"),
+    "amplitude": (real(least=0, most=TURN), "largest amplitude of joints 2, 4 and 6 [rad] (sines)"),
+    "noise": (real(least=0, most=TURN), "standard deviation added to the actions of joints 2, 4 and 6 [rad] (placing)"),
+    "others": (real(least=0, most=TURN), "the same for the other joints [rad] (sines, placing)"),
+    "seconds": (real(least=0.1, most=3600), "length of a clip (hand-placing, hand-wandering)"),
+    "tremor": (real(least=0, most=1), "standard deviation of the hand's wander [m] (hand-placing, hand-wandering)"),
 }
 
 
 def add_options(parser: ArgumentParser) -> None:
     """Declare them."""
     parser.add_argument("motion", type=one_of(MOTIONS), metavar="MOTION", help=", ".join(MOTIONS))
-    parser.add_argument("--episodes", type=whole(1), help="how many (default: as in the paper)")
+    parser.add_argument("--episodes", type=whole(1, LONGEST), help="how many (default: as in the paper)")
     parser.add_argument("--seed", type=whole(0), default=0, help="(default: 0)")
-    parser.add_argument("--jobs", type=whole(1), default=2, help="processes (default: 2)")
+    parser.add_argument("--jobs", type=whole(1, MOST_PROCESSES), default=2, help="processes (default: 2)")
     group = parser.add_argument_group("the motion's numbers, by default the paper's")
     for name, (kind, text) in SETTINGS.items():
         group.add_argument(f"--{name.replace('_', '-')}", type=kind, help=text)

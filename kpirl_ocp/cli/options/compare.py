@@ -11,6 +11,7 @@ estimated from the curvature at the solution if it is not among them.
 from argparse import ArgumentParser
 
 from kpirl_ocp.cli.values import one_of, own_function, real, whole
+from kpirl_ocp.sizes import LONGEST
 
 PROBLEMS = ("iiwa", "integrator", "lqr", "pendulum")
 
@@ -20,7 +21,12 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument("own", nargs="?", type=own_function, metavar="FILE.py:FUNCTION", help="your own problem")
     parser.add_argument("--problem", type=one_of(PROBLEMS), help=f"or an example: {', '.join(PROBLEMS)} (the first)")
     parser.add_argument(
-        "--steps", type=whole(1), nargs="+", default=[1, 3, 10, 30, 100, 300, 1000], metavar="N", help="values of N"
+        "--steps",
+        type=whole(1, LONGEST),
+        nargs="+",
+        default=[1, 3, 10, 30, 100, 300, 1000],
+        metavar="N",
+        help="values of N",
     )
     parser.add_argument("--iterations", type=whole(1), default=100, help="outer iterations of learning (default: 100)")
     parser.add_argument("--learning-rate", type=real(above=0), default=3e-2, help="of Adam (default: 0.03)")

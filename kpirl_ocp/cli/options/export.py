@@ -10,6 +10,7 @@ context as for `kpirl solve`; they become the recorded example that the folder t
 from argparse import ArgumentParser, ArgumentTypeError
 
 from kpirl_ocp.cli.values import existing_file, one_of, own_function, whole
+from kpirl_ocp.sizes import LONGEST
 
 SOLVERS = ("real-time", "converged", "gradient-descent", "sqp")
 
@@ -26,6 +27,6 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument("problem", nargs="?", type=own_function, metavar="FILE.py:FUNCTION", help="your own problem")
     parser.add_argument("--cost", type=existing_file, metavar="FILE", help="or a cost.json of `kpirl learn`")
     parser.add_argument("--solver", type=one_of(SOLVERS), help=f"{', '.join(SOLVERS)} (the first, or that of --cost)")
-    parser.add_argument("--horizon", type=whole(1), help="T of the placing model (default: 10)")
+    parser.add_argument("--horizon", type=whole(1, LONGEST), help="T of the placing model (default: 10)")
     parser.add_argument("--prefix", type=prefix, default="kpirl_mpc", help="of names and files (default: %(default)s)")
     parser.add_argument("--seed", type=whole(0), default=0, help="of the recorded examples (default: 0)")

@@ -9,6 +9,7 @@ Ctrl-C keeps the best cost so far, and the same command goes on from there.
 from argparse import ArgumentParser
 
 from kpirl_ocp.cli.values import existing_directory, one_of, real, whole
+from kpirl_ocp.sizes import LONGEST
 
 TASKS = ("placing", "reaching")
 METHODS = ("unrolled", "implicit")
@@ -32,7 +33,9 @@ def add_options(parser: ArgumentParser) -> None:
         "--optimiser", type=one_of(OPTIMISERS), help="adam (default if unrolled), lbfgs (default if implicit), descent"
     )
     parser.add_argument("--learning-rate", type=real(above=0), default=1e-2, help="of adam and descent (default: 0.01)")
-    parser.add_argument("--inner-steps", type=whole(1), default=5, help="N of the unrolled method (default: 5)")
+    parser.add_argument(
+        "--inner-steps", type=whole(1, LONGEST), default=5, help="N of the unrolled method (default: 5)"
+    )
     parser.add_argument(
         "--step-size", type=real(above=0), default=1e-2, help="alpha of the unrolled method (default: 0.01)"
     )

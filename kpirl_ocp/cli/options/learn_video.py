@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from kpirl_ocp.cli.values import existing_file, real, whole
+from kpirl_ocp.sizes import LONGEST
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -41,7 +42,7 @@ def add_options(parser: ArgumentParser) -> None:
     own.add_argument("--dynamics", type=existing_file, help="card of `kpirl train-dynamics`; with --detector")
     own.add_argument("--recording", type=existing_file, help=".npz of the arm: plan from its first frame on")
     learning = parser.add_argument_group("learning")
-    learning.add_argument("--steps", type=whole(3), default=15, help="of the plan, T (default: 15)")
+    learning.add_argument("--steps", type=whole(3, LONGEST), default=15, help="of the plan, T (default: 15)")
     learning.add_argument("--iterations", type=whole(1), default=150, help="of learning, at most (default: 150)")
     learning.add_argument("--cost", type=existing_file, help="cost.json to evaluate on this film instead of learning")
     learning.add_argument("--seed", type=whole(0), default=0, help="of the starts (default: 0)")

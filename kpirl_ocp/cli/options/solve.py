@@ -15,6 +15,7 @@ s0 is the start; psi the parameters and context the goal, where the problem has 
 from argparse import ArgumentParser
 
 from kpirl_ocp.cli.values import one_of, own_function, real, whole
+from kpirl_ocp.sizes import LONGEST
 
 SOLVERS = ("riccati", "ipopt", "fatrop", "sqp", "gradient")
 ARM = {
@@ -32,13 +33,13 @@ def add_options(parser: ArgumentParser) -> None:
     """Declare them."""
     parser.add_argument("problem", nargs="?", type=own_function, metavar="FILE.py:FUNCTION", help="your own problem")
     parser.add_argument("--solver", type=one_of(SOLVERS), default="riccati", help=f"{', '.join(SOLVERS)} (the first)")
-    parser.add_argument("--steps", type=whole(1), default=500, help="of the gradient solver (default: 500)")
+    parser.add_argument("--steps", type=whole(1, LONGEST), default=500, help="of the gradient solver (default: 500)")
     parser.add_argument("--step-size", type=real(above=0), default=3e-3, help="of the gradient solver (default: 0.003)")
     arm = parser.add_argument_group("the arm's problem")
     arm.add_argument("--robot", help="iiwa (default), a name of example-robot-data (panda, ur5), or a .urdf file")
     arm.add_argument("--tool", metavar="LINK", help="that holds the object (default: the one at the end, if it is one)")
     arm.add_argument("--move", type=real(), nargs=3, metavar=("DX", "DY", "DZ"), help="[m] (default: 0.1 0 -0.2)")
-    arm.add_argument("--horizon", type=whole(1), help="time steps T (default: 10)")
+    arm.add_argument("--horizon", type=whole(1, LONGEST), help="time steps T (default: 10)")
     arm.add_argument("--effort", type=real(least=0), help="weight rho of |u|² (default: 0.1)")
     arm.add_argument("--max-displacement", type=real(above=0), help="per joint and step [rad] (default: 0.2)")
     arm.add_argument("--rerun", action="store_true", default=None, help="write plan.rrd as well, for the Rerun viewer")

@@ -6,7 +6,7 @@ paper's scale), minderer (the published losses alone).
 
 from argparse import ArgumentParser
 
-from kpirl_ocp.cli.values import existing, existing_directory, existing_file, one_of, whole
+from kpirl_ocp.cli.values import MOST_PROCESSES, existing, existing_directory, existing_file, one_of, whole
 
 PRESETS = ("tiny", "default", "full", "minderer")
 
@@ -25,4 +25,4 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument("--seed", type=whole(0), default=0, help="of weights and batches (default: 0)")
     parser.add_argument("--start", type=existing_file, help="card of a trained detector to go on from, of one preset")
     parser.add_argument("--device", default="auto", help="of torch: auto (a GPU if there is one), cpu, cuda, ...")
-    parser.add_argument("--threads", type=whole(1), default=2, help="of torch (default: 2)")
+    parser.add_argument("--threads", type=whole(1, MOST_PROCESSES), default=2, help="of torch (default: 2)")

@@ -7,7 +7,7 @@ on where its last checkpoint was.
 
 from argparse import ArgumentParser
 
-from kpirl_ocp.cli.values import existing_directory, existing_file, real, whole
+from kpirl_ocp.cli.values import MOST_PROCESSES, existing_directory, existing_file, real, whole
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -16,9 +16,11 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--test", type=existing_directory, nargs="*", default=[], help="directories of held-out clips to score on"
     )
-    parser.add_argument("--clips", type=real(above=0), default=1.0, help="share of the usual 410 (default: 1)")
+    parser.add_argument(
+        "--clips", type=real(above=0, most=1000), default=1.0, help="share of the usual 410 (default: 1)"
+    )
     parser.add_argument("--steps", type=whole(1), default=400, help="of training (default: 400)")
     parser.add_argument("--batch", type=whole(1), default=48, help="frames per step (default: 48)")
     parser.add_argument("--seed", type=whole(0), default=0, help="of clips and batches (default: 0)")
     parser.add_argument("--device", default="auto", help="of torch: auto (a GPU if there is one), cpu, cuda, ...")
-    parser.add_argument("--threads", type=whole(1), default=2, help="of torch (default: 2)")
+    parser.add_argument("--threads", type=whole(1, MOST_PROCESSES), default=2, help="of torch (default: 2)")

@@ -21,6 +21,7 @@ from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost, reduc
 from kpirl_ocp.ocp.problem.scope import constant_bounds, refuse_features
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
+from kpirl_ocp.sizes import LONGEST
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory, largest, max_or_nan
 
 
@@ -40,8 +41,8 @@ class GradientDescent:
     tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
-        if not isinstance(self.steps, int) or self.steps < 1:
-            raise ProblemError(f"steps must be a whole number of at least 1, got {self.steps!r}.")
+        if not isinstance(self.steps, int) or not 1 <= self.steps <= LONGEST:
+            raise ProblemError(f"steps must be a whole number from 1 to {LONGEST}, got {self.steps!r}.")
         if not self.step_size > 0:
             raise ProblemError(f"step_size must be positive, got {self.step_size!r}.")
 

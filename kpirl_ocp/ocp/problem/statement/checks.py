@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.sizes import LONGEST
 from kpirl_ocp.types import Array
 
 Bounds = tuple[ArrayLike, ArrayLike]
 UNBOUNDED: Bounds = (-np.inf, np.inf)
-_LONGEST = 1_000_000  # steps of a horizon
 
 
 def horizon_of(value: object) -> int:
     """T as an int. Raises ProblemError unless it is a whole number between 1 and a million."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or not 1 <= value <= _LONGEST:  # type: ignore[operator]
-        expected = f"a whole number of at least 1 step and at most {_LONGEST}"
+    if not whole or not 1 <= value <= LONGEST:  # type: ignore[operator]
+        expected = f"a whole number of at least 1 step and at most {LONGEST}"
         raise ProblemError(f"horizon must be {expected}, got {shown(value)}.")
     return int(value)  # type: ignore[call-overload]
 
