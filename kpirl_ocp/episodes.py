@@ -239,12 +239,14 @@ class atomic_write:
         return self.file
 
     def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
-            self.file.flush()
-            self.part.replace(self.path)
-        else:
-            self.part.unlink()
-        self.file.close()
+        try:
+            if kind is None:
+                self.file.flush()
+                self.part.replace(self.path)
+        finally:
+            self.part.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # what could not be flushed
+                self.file.close()
 
 
 def _locked(path: Path) -> BinaryIO:

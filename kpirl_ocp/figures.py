@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.pictures import COLOURS, GREY, PAGE, STYLE, figure_class
 from kpirl_ocp.types import Array
 
@@ -18,8 +19,9 @@ _KNOWN = dict(zip(("weighted", "timedep", "rbf", "apprenticeship"), COLOURS, str
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write the figure, as PNG or SVG by the path's suffix, and give its path back."""
-    figure.savefig(path, dpi=150)
+    """Write the figure, whole or not at all, as PNG or SVG by the path's suffix, and give its path back."""
+    with atomic_write(path) as file:
+        figure.savefig(file, dpi=150, format=path.suffix[1:])
     return path
 
 

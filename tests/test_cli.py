@@ -20,6 +20,7 @@ from exported import STRICT, built
 import kpirl_ocp
 from kpirl_ocp.cli.commands.export import SOLVERS as EXPORT_SOLVERS
 from kpirl_ocp.cli.commands.learn import OPTIMISERS
+from kpirl_ocp.cli.directory import results_in
 from kpirl_ocp.cli.main import COMMANDS, options_of, run
 from kpirl_ocp.cli.parser import build_parser
 from kpirl_ocp.irl.cases.cost_files import BASES
@@ -118,6 +119,7 @@ def test_help_lists_every_command_with_a_sentence():
 def test_help_imports_nothing_heavy(words):
     code = f"""
 import sys
+from kpirl_ocp.cli.directory import results_in
 from kpirl_ocp.cli.main import run
 assert run({words}) == 0
 print(sorted({{"numpy", "casadi", "pinocchio", "matplotlib", "scipy", "torch", "tqdm"}} & set(sys.modules)))
@@ -168,6 +170,7 @@ WRONG = {  # words, beginning of the sentence
     "solve --robot own.py": "own.py cannot be read as a URDF",
     "solve --tool elbow": "the robot 'lbr_iiwa' has no link 'elbow'; its links are:",
     "solve --out own.py/x": "--out: cannot write to 'own.py/x': Not a directory.",
+    "solve --out own.py": "--out: 'own.py' is a file, and not a directory.",
     "solve --out /proc/x": "--out: cannot write to '/proc/x': No such file or directory.",
     "demonstrate --task plcing": "--task: expected one of placing, reaching, got 'plcing': did you mean 'placing'?",
     "demonstrate --tests -3": f"--tests: {WHOLE} 0, got '-3'.",
@@ -257,6 +260,31 @@ def test_what_takes_more_memory_than_there_is_ends_in_one_sentence(tmp_path):
     assert result.stderr == (
         "error: this takes more memory than the 1.0 GiB that there are: ask for fewer steps, episodes or processes.\n"
     )
+
+
+def test_a_working_directory_that_cannot_be_written_is_one_sentence(monkeypatch, capsys):
+    monkeypatch.chdir("/proc")
+    assert refusal(["solve"], capsys) == "--out: cannot write to 'out/solve': No such file or directory."
+
+
+def test_two_runs_do_not_write_into_one_directory_at_once(tmp_path, capsys):
+    with results_in(tmp_path):
+        sentence = refusal(["solve", "--horizon", "2", "--out", str(tmp_path)], capsys)
+        assert sentence.startswith(f"--out: another run is writing to '{tmp_path}': wait for its end, or choose")
+    assert list(tmp_path.iterdir()) == []
+    assert run(["solve", "--horizon", "2", "--quiet", "--out", str(tmp_path)]) == 0
+
+
+@pytest.mark.parametrize("room", [0, 16_384])  # [bytes]: for nothing, and for a part of the figure
+def test_a_full_disk_is_one_sentence_and_leaves_no_part_of_a_file(room, own, tmp_path):
+    def limited():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+
+    words = [*KPIRL, "solve", f"{own}:pendulum", "--solver", "ipopt", "--out", str(tmp_path / "out")]
+    result = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False, preexec_fn=limited)
+    assert result.returncode == 2
+    assert result.stderr.splitlines()[-1] == f"error: --out: cannot write to '{tmp_path}/out': File too large."
+    assert list((tmp_path / "out").iterdir()) == []
 
 
 @pytest.mark.parametrize("robot", ["iwa", "pnada"])

@@ -9,11 +9,12 @@ import contextlib
 import inspect
 import os
 import sys
-import tempfile
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 
+from kpirl_ocp.cli.directory import results_in
 from kpirl_ocp.cli.memory import within_memory
 from kpirl_ocp.cli.parser import Parser, build_parser, write_config
 from kpirl_ocp.cli.signals import stoppable
@@ -113,7 +114,11 @@ def _read_and_work(parser: Parser, words: list[str], module: str) -> int:
         args = parser.read(words)
     except SystemExit:  # after --help
         return 0
-    prepare_directory(args.out)
+    with results_in(args.out):
+        return _work(parser, args, module)
+
+
+def _work(parser: Parser, args: Namespace, module: str) -> int:
     with _hushed(args.quiet), stoppable(), within_memory():
         try:
             code, stopped = import_module(module).main(args) or 0, None
@@ -135,16 +140,6 @@ def _missing(program: str, error: ModuleNotFoundError) -> Exception:
     if package == "pybullet" and sys.version_info >= (3, 12):
         remedy = "it has no wheels for Python 3.12 and later, make an environment with Python 3.11 or 3.10"
     return DependencyError(f"`{program}` needs {package}, which is not installed: {remedy}")
-
-
-def prepare_directory(path: Path) -> None:
-    """Make a directory for results. Raises OptionError if nothing can be written there."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path):
-            pass
-    except OSError as error:
-        raise OptionError(f"--out: cannot write to {str(path)!r}: {error.strerror}") from error
 
 
 @contextlib.contextmanager
