@@ -244,6 +244,16 @@ def test_squared_gains_of_an_integrator_count_the_actions_so_far():
     np.testing.assert_allclose(stiffness(np.eye(4), gains, 0.5 * np.ones((4, 2))), gains.ravel())
 
 
+def test_squared_gains_know_the_parameters_context_and_schedule_of_the_dynamics():
+    s, u, psi, c, d = (ca.SX.sym(name) for name in ("s", "u", "psi", "c", "d"))
+    problem = OCP.from_expressions(
+        state=s, action=u, parameters=psi, context=c, stage=d, schedule=[[1.0], [2.0], [3.0], [0.0]],
+        dynamics=s + psi * c * d * u, stage_cost=u**2, horizon=3,
+    )  # fmt: skip
+    along = problem.simulate([0], np.zeros((3, 1)), [2.0], [0.5])
+    np.testing.assert_allclose(squared_gains(problem, along, [2.0], [0.5]), [[1], [1 + 4], [1 + 4 + 9]])
+
+
 def test_what_cannot_be_identified_is_said():
     problem = one_step()
     with pytest.raises(ProblemError, match="at least one demonstration"):

@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.codegen.compiler import compiled
-from kpirl_ocp.ocp.conditions.nlp import pack, transcribe, unpack
 from kpirl_ocp.ocp.conditions.stage_derivatives import dynamics_jacobian, dynamics_second
+from kpirl_ocp.ocp.problem.layout import limits, pack, unpack
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Trajectory
 
@@ -19,7 +19,7 @@ class StageIpopt:
     """The program of one problem, ready to be solved."""
 
     def __init__(self, problem: OCP, tolerance: float) -> None:
-        self._problem, self._nlp = problem, transcribe(problem)
+        self._problem = problem
         program, derivatives = _functions(problem)
         options = {
             "tol": tolerance,
@@ -34,37 +34,39 @@ class StageIpopt:
 
     def solve(self, s0: Array, psi: Array, context: Array) -> tuple[float, Trajectory, int, str]:
         """Objective, trajectory, iterations and Ipopt's word."""
-        problem, nlp = self._problem, self._nlp
+        problem, n_s = self._problem, self._problem.n_states
         guess = problem.simulate(s0, np.zeros((problem.horizon, problem.n_actions)), psi)
+        lower, upper = (bound[n_s:] for bound in limits(problem))
         p = np.concatenate([s0, psi, context])
-        result = self._solver(x0=pack(guess), p=p, lbx=nlp.lower, ubx=nlp.upper, lbg=0.0, ubg=0.0)
+        result = self._solver(x0=pack(guess)[n_s:], p=p, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0)
         stats = self._solver.stats()
-        trajectory = unpack(problem, s0, np.array(result["x"]).ravel())
+        trajectory = unpack(problem, np.concatenate([s0, np.array(result["x"]).ravel()]))
         return float(result["f"]), trajectory, int(stats["iter_count"]), str(stats["return_status"])
 
 
 def _functions(problem: OCP) -> tuple[dict[str, ca.MX], dict[str, ca.Function]]:
     """The program, and its compiled derivatives under the names of CasADi's options."""
-    nlp, steps, n_s = transcribe(problem), problem.horizon, problem.n_states
-    w, p = nlp.symbols["w"], nlp.symbols["p"]
-    psi, context = nlp.symbols["psi"], nlp.symbols["c"]
-    states = ca.horzcat(nlp.symbols["s0"], ca.reshape(w[: steps * n_s], n_s, steps))
-    actions = ca.reshape(w[steps * n_s :], problem.n_actions, steps)
-    objective, defects, _ = nlp.values(*(nlp.symbols[name] for name in ("w", "s0", "psi", "c")))
+    steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
+    psi, context = problem.symbols()[2:]
+    s0, w = ca.MX.sym("s0", n_s), ca.MX.sym("w", steps * (n_s + n_u))
+    p = ca.vertcat(s0, psi, context)
+    states = ca.horzcat(s0, ca.reshape(w[: steps * n_s], n_s, steps))
+    actions = ca.reshape(w[steps * n_s :], n_u, steps)
     weight, costates = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", steps * n_s)
 
     before, wide = states[:, :steps], ca.repmat(psi, 1, steps)
+    defects = ca.vec(problem.transition.map(steps)(before, actions, wide) - states[:, 1:])
     by_state, by_action = dynamics_jacobian(problem).map(steps)(before, actions, wide)
     *_, curvature = dynamics_second(problem).map(steps)(before, actions, wide, ca.reshape(costates, n_s, steps))
     cost = problem.cost(states, actions, psi, context)
     hessian = ca.triu(weight * ca.hessian(cost, w)[0] + _curvature(problem, curvature))
     functions = {
-        "grad_f": ([w, p], [objective, ca.gradient(cost, w)]),
+        "grad_f": ([w, p], [cost, ca.gradient(cost, w)]),
         "jac_g": ([w, p], [defects, _jacobian(problem, by_state, by_action)]),
         "hess_lag": ([w, p, weight, costates], [hessian]),
     }
     built = {name: compiled(ca.Function(name, *ends)) for name, ends in functions.items()}
-    return {"x": w, "p": p, "f": objective, "g": defects}, built
+    return {"x": w, "p": p, "f": cost, "g": defects}, built
 
 
 def _jacobian(problem: OCP, by_state: ca.MX, by_action: ca.MX) -> ca.MX:

@@ -7,7 +7,9 @@ firmly: its stiffness, not the number itself, is what the demonstrator's intent 
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kpirl_ocp.irl.identifiability.plan_jacobian import observation_jacobians
 from kpirl_ocp.ocp.conditions.stage_derivatives import dynamics_jacobian
@@ -15,11 +17,11 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Trajectory
 
 
-def squared_gains(problem: OCP, trajectory: Trajectory, psi: Array) -> Array:
-    """(T, n_z): sum over all actions of (dz_t,i/du)^2 along a trajectory, t = 1 .. T."""
+def squared_gains(problem: OCP, trajectory: Trajectory, psi: ArrayLike = (), context: ArrayLike = ()) -> Array:
+    """(T, n_z): sum over all actions of (dz_t,i/du)^2 along a trajectory, t = 1 .. T; psi (n_psi,), context (n_c,)."""
     linearised = dynamics_jacobian(problem).map(problem.horizon)
-    repeated = np.tile(psi[:, None], problem.horizon)
-    blocks = linearised(trajectory.states[:-1].T, trajectory.actions.T, repeated)
+    numbers = problem.transition_numbers(*(ca.DM(np.asarray(value, float)) for value in (psi, context)))
+    blocks = linearised(trajectory.states[:-1].T, trajectory.actions.T, numbers)
     by_state, by_action = (np.split(np.array(block), problem.horizon, axis=1) for block in blocks)
     slopes = observation_jacobians(problem, trajectory.states)
     gains, moved = [], np.zeros((problem.n_states, 0))  # ds_t/du, one column per action so far
