@@ -25,7 +25,7 @@ class Evaluation(Brief):
 
     @property
     def failures(self) -> str:
-        """The number of failed plans, and the first of them; empty if there is none. Losses count them like the others."""
+        """The number of failed plans and the first of them, or nothing. Losses count them like the others."""
         failed = [(index, plan) for index, plan in enumerate(self.solutions) if not plan.status.ok]
         if not failed:
             return ""
