@@ -233,6 +233,9 @@ void kpirl_mpc_limit_lengths(kpirl_mpc_core *core, real regularisation);
 /* corrector: `least` is the tau to stop at, `most` the one from before */
 void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least, real most);
 
+/* Are steps lifted, and off the dynamics so far? Steps along the dynamics are the other way then. */
+int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core);
+
 /* trial */
 void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit);
 real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length);

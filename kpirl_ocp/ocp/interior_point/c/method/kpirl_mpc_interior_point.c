@@ -176,11 +176,16 @@ static int stuck(kpirl_mpc_status status) {
          status == KPIRL_MPC_NOT_FINITE;
 }
 
-/* With feasibility restoration where the method gets stuck. */
+int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core) {
+  return core->lifted && !core->options.steps && core->penalty <= 0 &&
+         kpirl_mpc_absolute_sum(core->d.defects, DIM(core, horizon) * DIM(core, n_states)) > core->filter.small;
+}
+
+/* With feasibility restoration where the method gets stuck and knows no other way. */
 static kpirl_mpc_status converge_restoring(kpirl_mpc_core *core) {
   kpirl_mpc_status status = converge(core);
   int i;
-  for (i = 0; i < RESTORATIONS && stuck(status); ++i) {
+  for (i = 0; i < RESTORATIONS && stuck(status) && !kpirl_mpc_off_dynamics(core); ++i) {
     const kpirl_mpc_restoration restoration = kpirl_mpc_restore(core);
     if (restoration == KPIRL_MPC_SHOWN_INFEASIBLE) return KPIRL_MPC_INFEASIBLE;
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
@@ -193,7 +198,7 @@ static kpirl_mpc_status converge_restoring(kpirl_mpc_core *core) {
 }
 
 static int given_up(const kpirl_mpc_core *core, kpirl_mpc_status status) {
-  return stuck(status) && status != KPIRL_MPC_INFEASIBLE && core->iterations > 0;
+  return stuck(status) && status != KPIRL_MPC_INFEASIBLE && (status != KPIRL_MPC_NOT_FINITE || core->iterations > 0);
 }
 
 /* Replace states of the guess by those that its actions lead to; 0 where that changes nothing or they are not finite. */

@@ -7,12 +7,15 @@
 
 static const real FIRST = (real)1e-4, SMALLEST = (real)1e-12; /* weights */
 static const real STRONGEST = (real)1e10; /* weight, relative to the scale of the problem, that leads nowhere */
+static const real STRONGEST_OFF = 1; /* the same off the dynamics: gaps closed at any cost make costates as large as the weight, and
+                                      * these a Hessian that needs a larger one */
 static const real FIRST_FACTOR = 100, FACTOR = 8, FALL = 3; /* by which it grows, before one is known and then; and falls */
 
 /* The Newton step with this regularisation, or, where the Hessian is known to be `indefinite` with it or turns out to be, with as
  * much more as it needs; 0 if none is enough. */
 int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation, int indefinite) {
   const real last = core->regularisation;
+  const real strongest = (kpirl_mpc_off_dynamics(core) ? STRONGEST_OFF : STRONGEST) * core->d.scale;
   real rho = regularisation;
   if (!indefinite) kpirl_mpc_newton_step(core, rho);
   while (indefinite || !core->step.positive) {
@@ -20,7 +23,7 @@ int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation, int 
       rho *= last > 0 ? FACTOR : FIRST_FACTOR;
     else
       rho = last > 0 ? kpirl_mpc_larger(last / FALL, SMALLEST) : FIRST;
-    if (!(rho < STRONGEST * core->d.scale)) return 0;
+    if (!(rho < strongest)) return 0;
     kpirl_mpc_newton_step(core, rho);
     indefinite = 0;
   }
