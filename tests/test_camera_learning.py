@@ -23,6 +23,7 @@ from kpirl_ocp.irl.visual.camera_learning import (
     check_reach,
     held_points,
     learn_in_image,
+    learn_on,
     path_distance,
     plan_from,
 )
@@ -31,9 +32,12 @@ from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, Weighted
 from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state
 from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Keypoint, Robot
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.scene.camera import Camera
 from kpirl_ocp.perception.scene.scene import Scene
+from kpirl_ocp.types import Demonstration
 
 CAMERA = Camera()
 PINHOLE = Pinhole(CAMERA.intrinsics, *CAMERA.extrinsics)
@@ -157,6 +161,19 @@ def test_a_cost_is_learned_whose_executed_plan_follows_the_demonstration(iiwa, l
         assert done.reached < 0.1
         assert abs(done.reached - done.planned) < 0.01
         assert done.images.shape == (7, 240, 240, 3)
+
+
+def test_a_cost_is_learned_for_the_plans_that_it_gives_from_a_cold_start():
+    u, psi = ca.SX.sym("u"), ca.SX.sym("psi")
+    s = ca.SX.sym("s")
+    two_valleys = OCP.from_expressions(
+        state=s, action=u, parameters=psi, horizon=1, dynamics=s + u, stage_cost=(u**2 - 1) ** 2 + 0.3 * psi * u
+    )
+    demonstration = Demonstration([0.0], [], [[0.0], [0.9]])  # best at psi = 2.28, if the plan stays in its valley
+    result = learn_on(two_valleys, demonstration, np.array([-0.5]), 30)
+    plan = Riccati(tolerance=1e-9).solve(two_valleys, [0.0], result.psi)
+    assert result.losses[0] > result.loss == pytest.approx((plan.states[-1, 0] - 0.9) ** 2)
+    assert plan.states[-1, 0] > 0
 
 
 def test_a_learned_cost_says_all_that_planning_with_it_needs(tmp_path, iiwa, learned):

@@ -117,13 +117,16 @@ def learn_in_image(
 def learn_on(problem: OCP, demonstration: Demonstration, psi0: Array, iterations: int) -> LearningResult:
     """Learn with the implicit gradient, and begin again with a new memory where L-BFGS gets stuck, if that helps.
 
+    Every plan starts cold, as those of the learned cost will: a plan that is continued from one psi to the next may
+    stay in a local minimum that no later plan finds.
+
     psi0: (n_psi,). iterations: in all.
 
     Raises CertificateError if a gradient cannot be certified.
     """
-    result = learn(problem, [demonstration], psi0, Implicit(_SOLVER), LBFGS(), iterations).raise_if_interrupted()
+    result = _learn(problem, demonstration, psi0, iterations)
     while (left := iterations + 1 - len(result.losses)) > 0:
-        more = learn(problem, [demonstration], result.psi, Implicit(_SOLVER), LBFGS(), left).raise_if_interrupted()
+        more = _learn(problem, demonstration, result.psi, left)
         stuck = more.loss > (1 - _PROGRESS) * result.loss
         result = LearningResult(
             psi=more.psi,
@@ -136,6 +139,11 @@ def learn_on(problem: OCP, demonstration: Demonstration, psi0: Array, iterations
         if stuck:
             break
     return result
+
+
+def _learn(problem: OCP, demonstration: Demonstration, psi0: Array, iterations: int) -> LearningResult:
+    found = learn(problem, [demonstration], psi0, Implicit(_SOLVER), LBFGS(), iterations, warm_start=False)
+    return found.raise_if_interrupted()
 
 
 def plan_from(learned: LearnedCost, robot: Robot, theta: Array) -> Solution:
