@@ -43,3 +43,24 @@ def film(poses, *, picture=None, occluders=None, blur=None, rate=30):
             image = cv2.blur(image, (blur[index], 1))
         frames.append((index / rate, image))
     return frames
+
+
+def shaken(poses, *, jitter=10.0, drift=(0.0, 0.0), turn=0.01, seed=0, rate=30):
+    """A film of a picture at poses, by a camera that shakes by up to `jitter` pixels and `turn` rad, and drifts.
+
+    Gives the frames, and the similarities (3, 3) from the first one that the wall undergoes.
+    """
+    rng, room = np.random.default_rng(seed), 80
+    wall = texture(0, HEIGHT + 2 * room, WIDTH + 2 * room, grain=12) // 3 + 60
+    into_wall = np.array([[1.0, 0, room], [0, 1, room], [0, 0, 1]])
+    frames, cameras = [], []
+    for index, where in enumerate(poses):
+        moved = (index > 0) * rng.uniform(-1, 1, 3) * [jitter, jitter, turn]
+        moved[:2] += np.array(drift) * index / len(poses)
+        middle = np.array([WIDTH, HEIGHT]) / 2
+        camera = pose(*(middle + moved[:2]), moved[2], size=0) @ pose(*-middle, size=0)
+        world = paste(wall, texture(1, 50, 50), into_wall @ where)
+        image = cv2.warpAffine(world, (camera @ np.linalg.inv(into_wall))[:2], (WIDTH, HEIGHT))
+        frames.append((index / rate, image))
+        cameras.append(camera)
+    return frames, cameras

@@ -11,7 +11,7 @@ pytest.importorskip("av")
 pytest.importorskip("cv2")
 pytest.importorskip("pybullet")
 pytest.importorskip("torch")
-from films import film, pose
+from films import film, pose, shaken
 
 from kpirl_ocp.cli.imitation.arm import Scale, arm_for, other_starts
 from kpirl_ocp.cli.imitation.execution import execute
@@ -37,6 +37,7 @@ from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.scene.camera import Camera
 from kpirl_ocp.perception.scene.scene import Scene
+from kpirl_ocp.perception.tracking.tracks import read_tracks
 from kpirl_ocp.types import Demonstration
 
 CAMERA = Camera()
@@ -264,3 +265,34 @@ def test_a_film_that_shows_no_motion_is_refused_with_a_picture(tmp_path, capsys)
     assert run(words) == 2
     assert "hardly move" in capsys.readouterr().err
     assert (tmp_path / "refused.png").exists()
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "has 1 frame from"), (3, "has 3 frames from 0 s to its end")])
+def test_a_film_of_a_few_frames_is_refused_for_that(tmp_path, count, said, capsys):
+    frames = [image for _, image in film([pose(80 + 10 * i, 100) for i in range(count)])]
+    path = write_video(tmp_path / "short.mp4", frames, 30, codec="h264")
+    assert run(["learn-video", str(path), "--out", str(tmp_path)]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_part_of_a_film_without_frames_is_named(tmp_path, moving_film, capsys):
+    assert run(["learn-video", str(moving_film), "--start", "0.5", "--end", "0.55", "--out", str(tmp_path)]) == 2
+    assert "has 2 frames from 0.5 s to 0.55 s" in capsys.readouterr().err
+
+
+def test_a_still_film_in_which_nothing_is_marked_is_refused_with_what_to_do(tmp_path, capsys):
+    path = write_video(tmp_path / "still.mp4", [film([pose(80, 100)])[0][1]] * 20, 30, codec="h264")
+    assert run(["learn-video", str(path), "--out", str(tmp_path)]) == 2
+    assert "say what to follow" in capsys.readouterr().err
+
+
+def test_the_film_of_a_shaking_phone_leads_to_a_robot_as_one_from_a_fixed_place_does(tmp_path, capsys):
+    poses = [pose(80 + 100 * t, 100 - 30 * t, 0.3 * t) for t in minimum_jerk(np.linspace(0, 1, 40))]
+    frames = [image for _, image in shaken(poses, jitter=10, drift=(15, 5))[0]]
+    path = write_video(tmp_path / "phone.mp4", frames, 30, codec="h264")
+    words = ["learn-video", str(path), "--scale", "0.4", "--steps", "5", "--iterations", "25", "--starts", "1"]
+    assert run([*words, "--out", str(tmp_path)]) == 0, capsys.readouterr()
+    assert "camera:  moves its picture by up to" in capsys.readouterr().out
+    tracks = read_tracks(tmp_path / "tracks.npz")
+    way = tracks.centre[-1] - tracks.centre[0]
+    np.testing.assert_allclose(way, [100, -30], atol=2)

@@ -14,7 +14,7 @@ from films import HEIGHT, WALL, WIDTH, film, pose
 from kpirl_ocp.errors import DemonstrationError, FileError
 from kpirl_ocp.perception.data.video import iterate_frames
 from kpirl_ocp.perception.tracking import objects
-from kpirl_ocp.perception.tracking.admission import moving_part, refusal
+from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, refusal
 from kpirl_ocp.perception.tracking.pictures import at_times, overlays, track_film, track_sheet
 from kpirl_ocp.perception.tracking.similarity import fit, transform
 from kpirl_ocp.perception.tracking.tracker import track
@@ -181,6 +181,18 @@ def test_keypoints_that_are_not_seen_are_refused_with_the_time():
     assert "from 0.67 to 1.33 s" in found.reason
     assert found.frames[0] == 19
     assert 20 <= found.frames[1] < 40
+
+
+def test_steps_that_cut_the_path_short_are_too_few():
+    turns = np.column_stack([np.linspace(50, 150, 121), 80 + 30 * np.sin(np.linspace(0, 8 * np.pi, 121))])
+    check_steps(tracks_of(turns), 40)
+    with pytest.raises(DemonstrationError, match=r"5 steps are too few for this motion of 4\.0 s.*--steps"):
+        check_steps(tracks_of(turns), 5)
+
+
+def test_more_steps_than_frames_are_refused():
+    with pytest.raises(DemonstrationError, match=r"takes 1\.97 s and is seen in 60 frames, too few for 90 steps"):
+        check_steps(tracks_of(WAY), 90)
 
 
 def test_the_rest_before_and_after_is_left_out():

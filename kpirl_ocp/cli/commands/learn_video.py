@@ -17,10 +17,10 @@ from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.visual.camera_learning import camera_demonstration, check_reach, learn_in_image
 from kpirl_ocp.ocp.export.folder import export_c
 from kpirl_ocp.perception.detector.tracks import detector_tracks
-from kpirl_ocp.perception.tracking.admission import moving_part, refusal
+from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, refusal
 from kpirl_ocp.perception.tracking.pictures import evenly, track_film, track_sheet
 from kpirl_ocp.perception.tracking.tracks import Tracks, read_tracks, write_tracks
-from kpirl_ocp.perception.tracking.watch import Film, extent, find_object, follow_hand, follow_object
+from kpirl_ocp.perception.tracking.watch import Film, extent, find_object, follow_hand, follow_object, seen_at_rest
 from kpirl_ocp.reporting import table, write_metrics
 from kpirl_ocp.types import Array
 
@@ -30,7 +30,9 @@ _SHOWN = 8  # frames of the contact sheet
 def main(args: Namespace) -> int:
     """Watch, learn, plan, execute; 1 if an execution stays more than a tenth of the way from the demonstration."""
     _check(args)
-    film = Film(args.film, args.source_rate if args.film.is_dir() else None, args.start, args.end or np.inf)
+    film = Film(args.film, args.source_rate if args.film.is_dir() else None, args.start, args.end or np.inf).steadied()
+    if film.camera:
+        print(f"camera:  moves its picture by up to {film.camera.reach:.0f} pixels; steadied on the background")
     tracks, length = _watch(args, film)
     try:
         return _imitate(args, film, tracks, length)
@@ -44,6 +46,7 @@ def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) 
     print(f"tracks:  {track_film(args.out / 'tracks.mp4', film.frames(), tracks)}")
     _admit(args.out, film, tracks)
     shown, part = _part(film, tracks)
+    check_steps(part, args.steps)
     if args.dynamics:
         return imitate(args, part)
     steps = part.at_rate(args.steps / float(part.times[-1]))
@@ -75,7 +78,7 @@ def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:
     """Tracks of the demonstration, written to OUT, and the length of the object [pixels] where it is known."""
     length = None
     if args.tracks:
-        tracks = read_tracks(args.tracks, rate=args.source_rate, size=film.first().shape[1::-1])
+        tracks = seen_at_rest(film, read_tracks(args.tracks, rate=args.source_rate, size=film.first().shape[1::-1]))
         tracks = tracks.between(film.start, min(film.end, float(tracks.times[-1])))
     elif args.hand:
         tracks = follow_hand(film)

@@ -41,12 +41,13 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
     time = period = longest = 0.0  # of the last frame, since the one before it, and the longest such pause [s]
     with container:
         stream.thread_type = "AUTO"
+        period = float(1 / stream.average_rate) if stream.average_rate else 0.0  # of a film with one frame
         promised = _promised_seconds(container, stream)
         try:
             for frame in container.decode(stream):
                 stamp = float(frame.time or 0.0)
                 first = stamp if first is None else first
-                period, time = stamp - first - time, stamp - first
+                period, time = stamp - first - time or period, stamp - first
                 longest = max(longest, period)
                 if time > end + 1e-6:
                     return

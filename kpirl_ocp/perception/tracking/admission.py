@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kpirl_ocp.errors import DemonstrationError
 from kpirl_ocp.perception.tracking.tracks import Tracks
 from kpirl_ocp.types import Array
 
@@ -14,6 +15,7 @@ _JUMP = 2.5  # faster than this is no hand but another object [longer sides per 
 _SURE = 0.15  # confidence below which a frame is unsure; tracking itself gives up there
 _UNSURE = 0.2  # share of the frames that may be unsure
 _GAP = 0.4  # for how long in a row they may be [s]
+_COARSE = 0.1  # share of the way by which steps may miss the path between them
 _RESTS = 0.01  # an object that is within this of where it starts or ends rests there [longer side]
 
 
@@ -42,6 +44,21 @@ def moving_part(tracks: Tracks) -> tuple[float, float]:
         return float(tracks.times[0]), float(tracks.times[-1])
     start, end = tracks.times[max(left[0] - 1, 0)], tracks.times[min(arrived[-1] + 1, len(tracks.times) - 1)]
     return max(float(tracks.times[0]), float(start) - 0.1), min(float(tracks.times[-1]), float(end) + 0.1)
+
+
+def check_steps(tracks: Tracks, steps: int) -> None:
+    """Raise DemonstrationError if so many steps are too few for the path, or the frames too few for the steps."""
+    seconds = float(tracks.times[-1] - tracks.times[0])
+    coarse = tracks.at_rate(steps / seconds)
+    columns = coarse.positions.reshape(len(coarse.times), -1).T
+    straight = np.stack([np.interp(tracks.times - tracks.times[0], coarse.times, column) for column in columns], axis=1)
+    gap = np.linalg.norm(straight.reshape(tracks.positions.shape) - tracks.positions, axis=-1).mean()
+    way = np.linalg.norm(tracks.positions - tracks.positions[0], axis=-1).mean(axis=1).max()
+    if gap > _COARSE * way:
+        raise DemonstrationError(
+            f"{steps} steps are too few for this motion of {seconds:.1f} s: between them it is {gap / way:.0%} "
+            "of its way elsewhere. Take more steps (--steps), or a shorter part of the film (--start, --end)."
+        )
 
 
 def _still(tracks: Tracks) -> Refusal | None:
@@ -78,8 +95,9 @@ def _unsure(tracks: Tracks) -> Refusal | None:
     end = min(start + longest, len(unsure) - 1)
     return Refusal(
         f"the object was not seen for sure from {tracks.times[start]:.2f} to {tracks.times[end]:.2f} s "
-        f"({unsure.mean():.0%} of all frames): something hides it, it leaves the picture, or it is too blurred. "
-        "Choose a part of the film (start, end), mark the object with points or a box, or film it again.",
+        f"({unsure.mean():.0%} of all frames): something hides it, it leaves the picture, is too blurred, or moves too "
+        "far from one frame to the next. Choose a part of the film (start, end), mark the object with points or a box, "
+        "or film it again.",
         (max(start - 1, 0), start + longest // 2, end),
     )
 

@@ -69,8 +69,13 @@ class Tracks(Brief):
         return Tracks(self.times[part] - self.times[part][0], self.positions[part], self.confidence[part], self.size)
 
     def at_rate(self, rate: float) -> Tracks:
-        """The frames nearest to k / rate [s]."""
+        """The frames nearest to k / rate [s]. Raises DemonstrationError if one would have to serve twice."""
         rows = [row for _, row in sampled(zip(self.times - self.times[0], range(len(self.times)), strict=True), rate)]
+        if len(set(rows)) < len(rows):
+            raise DemonstrationError(
+                f"the motion takes {self.times[-1] - self.times[0]:.2f} s and is seen in {len(self.times)} frames, too "
+                f"few for {len(rows) - 1} steps: take fewer (--steps), or film with more frames a second."
+            )
         return Tracks(self.times[rows] - self.times[0], self.positions[rows], self.confidence[rows], self.size)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -14,21 +15,28 @@ from kpirl_ocp.errors import DemonstrationError
 from kpirl_ocp.perception.data.video import Frames, iterate_frames
 from kpirl_ocp.perception.hands.landmarks import PALM, Hand, find_hands, hands_are_installed
 from kpirl_ocp.perception.tracking import objects
+from kpirl_ocp.perception.tracking.camera_motion import CameraMotion, camera_motion
+from kpirl_ocp.perception.tracking.similarity import transform
 from kpirl_ocp.perception.tracking.tracker import track
 from kpirl_ocp.perception.tracking.tracks import Tracks, of_object, spread
 from kpirl_ocp.types import Array, Mask
 
 LONGEST = 640  # longer side of the frames in which an object is followed [pixels]
+FEWEST = 4  # frames of a film in which a motion can be seen
 
 
 @dataclass(frozen=True)
 class Film:
-    """A part of a video, or of a folder of pictures at `source_rate` [Hz], from `start` to `end` [s]."""
+    """A part of a video, or of a folder of pictures at `source_rate` [Hz], from `start` to `end` [s].
+
+    camera: its motion by the times of the whole film; None if it is at rest.
+    """
 
     path: str | Path
     source_rate: float | None = None
     start: float = 0.0
     end: float = np.inf
+    camera: CameraMotion | None = None
 
     @property
     def name(self) -> str:
@@ -36,8 +44,12 @@ class Film:
         return Path(self.path).name
 
     def frames(self) -> Iterator[tuple[float, Frames]]:
-        """Times [s] from zero on, and images (H, W, 3) of at most `LONGEST` pixels; read again by every call."""
-        for time, image in iterate_frames(self.path, source_rate=self.source_rate, longest=LONGEST, end=self.end):
+        """Times [s] from zero on, and images (H, W, 3) of at most `LONGEST` pixels, as a camera at rest sees them.
+
+        Read again by every call.
+        """
+        frames = iterate_frames(self.path, source_rate=self.source_rate, longest=LONGEST, end=self.end)
+        for time, image in self.camera.steady(frames) if self.camera else frames:
             if time >= self.start - 1e-6:
                 yield time - self.start, image
 
@@ -46,6 +58,25 @@ class Film:
         for _, image in self.frames():
             return image
         raise DemonstrationError(f"{self.path} has nothing from {self.start:g} s on.")
+
+    def steadied(self) -> Film:
+        """The film with the motion of its camera, as seen in the background.
+
+        Raises DemonstrationError if it has fewer than four frames, or its camera moves too much.
+        """
+        count = sum(1 for _ in islice(self.frames(), FEWEST))
+        if count < FEWEST:
+            raise DemonstrationError(
+                f"{self.path} has {count} frame{'s' * (count != 1)} from {self.start:g} s to {self._ends}: that shows "
+                f"no motion. A demonstration takes a second or more, at ten frames a second or more."
+            )
+        frames = tqdm(self.frames(), f"look for motion of the camera in {self.path.name}", unit="frame")
+        found = camera_motion((self.start + time, image) for time, image in frames)
+        return replace(self, camera=found)
+
+    @property
+    def _ends(self) -> str:
+        return "its end" if np.isinf(self.end) else f"{self.end:g} s"
 
 
 def find_object(film: Film, box: ArrayLike | None = None, points: ArrayLike | None = None) -> Mask:
@@ -99,6 +130,15 @@ def _nearest(found: list[Hand], before: Array | None) -> Hand | None:
     hand = min(found, key=lambda hand: float(np.linalg.norm(hand.landmarks - before, axis=1).mean()))
     width = float(np.ptp(before, axis=0).max())
     return hand if np.linalg.norm(hand.landmarks - before, axis=1).mean() < width else None
+
+
+def seen_at_rest(film: Film, tracks: Tracks) -> Tracks:
+    """Tracks in the film as it was taken, as a camera at rest sees them."""
+    if film.camera is None:
+        return tracks
+    back = [np.asarray(np.linalg.inv(film.camera.at(time)), float) for time in tracks.times]
+    positions = np.array([transform(pose, places) for pose, places in zip(back, tracks.positions, strict=True)])
+    return replace(tracks, positions=positions)
 
 
 def follow_object(film: Film, mask: Mask, keypoints: Array | None = None) -> Tracks:
