@@ -39,6 +39,10 @@ def test_an_object_before_a_plain_wall_is_not_taken_for_the_background():
     assert camera_motion([(i / 30, paste(wall, texture(1, 80, 80), where)) for i, where in enumerate(poses)]) is None
 
 
+def test_a_picture_without_corners_tells_nothing_of_the_camera():
+    assert camera_motion([(i / 30, np.full((HEIGHT, WIDTH, 3), 90 + i, np.uint8)) for i in range(10)]) is None
+
+
 def test_a_camera_that_turns_away_is_refused_with_the_time_and_what_to_do():
     with pytest.raises(DemonstrationError, match=r"at 0\.\d\d s its picture has moved by 8\d of 320.*camera at rest"):
         camera_motion(shaken(POSES, jitter=3, drift=(150, 0))[0])

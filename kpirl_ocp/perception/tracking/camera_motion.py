@@ -73,13 +73,14 @@ def camera_motion(frames: Iterable[tuple[float, Frames]]) -> CameraMotion | None
     for time, image in frames:
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
         key = _KeyFrame.of(grey, np.eye(3)) if key is None else key
-        pose = key.background(grey, poses[-1] if poses else np.eye(3))
+        near = poses[-1] if poses else np.eye(3)
+        pose = key.background(grey, near)
         times.append(time)
-        poses.append(poses[-1] if pose is None else pose)
+        poses.append(near if pose is None else pose)
         reaches.append(np.nan if pose is None else _reach(pose, grey.shape))
         if pose is not None and key.share_in_view(pose) < _RENEWAL:
             key = _KeyFrame.of(grey, pose)
-    if np.nanmax(reaches, initial=0.0) <= _AGREE:
+    if np.fmax.reduce(reaches, initial=0.0) <= _AGREE:
         return None
     _check(np.array(times), np.array(reaches), max(image.shape))
     return CameraMotion(np.array(times), np.array(poses), float(max(reaches)))
