@@ -19,6 +19,7 @@ from kpirl_ocp.ocp.interior_point.machine_code import machine_code
 from kpirl_ocp.ocp.problem.solver import solve_and_linearise
 from kpirl_ocp.ocp.sensitivity import sensitivity
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, primal_dual
+from kpirl_ocp.ocp.solvers.child_process import ChildProcess
 
 SOLVERS = {"riccati": (Riccati(), 1e-8, 1e-6), "fatrop": (Fatrop(), 1e-6, 1e-4)}  # solver, objective, multipliers
 
@@ -280,6 +281,15 @@ def test_a_forked_process_solves_and_differentiates_with_the_numbers_of_its_pare
         same = same and np.array_equal(sensitivity(problem, found, "flag").pull(*slopes).psi, gradient)
         os._exit(0 if same else 1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_the_process_of_fatrop_imports_the_package_that_its_parent_imports(tmp_path, monkeypatch):
+    """Not other sources in the working directory, as those of an unpacked archive."""
+    (tmp_path / "kpirl_ocp").mkdir()
+    (tmp_path / "kpirl_ocp/__init__.py").write_text("raise ImportError('not this one')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("kpirl_ocp.ocp.solvers.fatrop._CHILD", ChildProcess())
+    assert Fatrop().solve(*given("integrator")).status.ok
 
 
 def test_threads_solve_at_the_same_time_without_meeting():

@@ -17,6 +17,8 @@ from weakref import WeakKeyDictionary
 from kpirl_ocp.ocp.problem.ocp import OCP
 
 _MOST = 64  # problems that one process keeps
+# Without '', the working directory, which may hold sources of the package that are not the ones imported here.
+_PROGRAM = f"import sys; sys.path[:] = filter(None, sys.path); from {__name__} import serve; serve()"
 
 
 class ChildProcess:
@@ -59,10 +61,10 @@ class ChildProcess:
             self._known.clear()
             self._sent = 0
             self._process = subprocess.Popen(
-                [sys.executable, "-c", f"from {__name__} import serve; serve()"],
+                [sys.executable, "-c", _PROGRAM],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},
             )
             to, back = (cast("IO[bytes]", pipe).fileno() for pipe in (self._process.stdin, self._process.stdout))
             self._ends = Connection(os.dup(to), readable=False), Connection(os.dup(back), writable=False)

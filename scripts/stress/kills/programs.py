@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import kpirl_ocp
+
 _SCRIPTS = Path(__file__).parents[2]
+_KPIRL = str(Path(kpirl_ocp.__file__).with_name("cli"))  # -m: of the working directory
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,7 @@ class Program:
 
 
 def _kpirl(name: str, *words: str, **more) -> Program:
-    return Program(name, ["-m", "kpirl_ocp.cli", *words, "--out", "{out}"], **more)
+    return Program(name, [_KPIRL, *words, "--out", "{out}"], **more)
 
 
 DATA = (
