@@ -107,8 +107,7 @@ def write_episode(path: Path, episode: Any) -> None:
 
 def write_meta(directory: Path, count: int, meta: Mapping[str, Any]) -> None:
     """Write `meta.json`: the version, the number of episodes, and further entries."""
-    with atomic_write(directory / "meta.json") as file:
-        file.write(json.dumps({"version": _VERSION, "episodes": count, **meta}, indent=2).encode())
+    write_whole(directory / "meta.json", json.dumps({"version": _VERSION, "episodes": count, **meta}, indent=2))
 
 
 def read_episodes(directory: str | Path, kind: type[E]) -> tuple[list[E], dict[str, Any]]:
@@ -247,6 +246,12 @@ class atomic_write:
             self.part.unlink(missing_ok=True)
             with contextlib.suppress(OSError):  # what could not be flushed
                 self.file.close()
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text; the file appears whole or not at all."""
+    with atomic_write(path) as file:
+        file.write(text.encode())
 
 
 def _locked(path: Path) -> BinaryIO:

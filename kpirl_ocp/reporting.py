@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kpirl_ocp.episodes import write_whole
+
 _PACKAGES = ("kpirl-ocp", "casadi", "pin", "numpy", "scipy", "pybullet", "torch")
 
 
@@ -23,7 +25,7 @@ def write_metrics(directory: Path, settings: Mapping[str, Any], results: Mapping
     path = directory / "metrics.json"
     versions = {"python": platform.python_version()} | {package: _version(package) for package in _PACKAGES}
     content = {"settings": settings, "versions": versions, "results": results}
-    path.write_text(json.dumps(content, indent=2, default=_plain) + "\n")
+    write_whole(path, json.dumps(content, indent=2, default=_plain) + "\n")
     return path
 
 
@@ -37,6 +39,15 @@ def kept_if_interrupted(
     except KeyboardInterrupt:
         path = write_metrics(directory, settings, results)
         raise KeyboardInterrupt(f"{progress()} are in {path}") from None
+
+
+@contextlib.contextmanager
+def said_if_interrupted(kept: Callable[[], str]) -> Iterator[None]:
+    """A block in which Ctrl-C says what is `kept`; an empty text: nothing. What is said further inside goes first."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        raise KeyboardInterrupt(str(stop) or kept()) from None
 
 
 @contextlib.contextmanager

@@ -48,7 +48,8 @@ ORDER = {
         ("data",),
         ("hands",),
         ("tracking",),
-        ("detector", "dynamics"),
+        ("detector",),
+        ("dynamics",),
         ("plant",),
     ],
 }

@@ -11,7 +11,8 @@ import torch
 from safetensors.numpy import load_file, save_file
 
 from kpirl_ocp.episodes import ArmTrack
-from kpirl_ocp.errors import ModelError, TrainingError
+from kpirl_ocp.errors import FileError, ModelError, TrainingError
+from kpirl_ocp.perception.dynamics import training
 from kpirl_ocp.perception.dynamics.augmentation import augmented, backwards
 from kpirl_ocp.perception.dynamics.model import ACTIVATIONS, DynamicsModel
 from kpirl_ocp.perception.dynamics.training import DynamicsSettings, Stretches, score_dynamics, train_dynamics
@@ -357,3 +358,38 @@ def test_a_moving_arm_cannot_be_turned_round():
     moving = replace(TRAIN[0], velocities=np.full_like(TRAIN[0].velocities, 0.2))
     with pytest.raises(TrainingError, match=r"0\.2 rad/s.*without --augment"):
         backwards(moving)
+
+
+class Killed(Exception):
+    """Instead of kill -9."""
+
+
+@pytest.mark.parametrize("epoch", [11, 15, 29])
+def test_a_training_that_was_killed_goes_on_with_the_same_bits(epoch, tmp_path, monkeypatch):
+    settings, path = replace(QUICK, epochs=30, patience=12), tmp_path / "checkpoint.safetensors"
+    expected, curves = train_dynamics(TRAIN, settings)
+    count = iter(range(epoch))
+
+    def dying(*arguments):
+        if next(count, None) is None:
+            raise Killed
+        return one_epoch(*arguments)
+
+    one_epoch = training._epoch
+    monkeypatch.setattr(training, "_epoch", dying)
+    with pytest.raises(Killed):
+        train_dynamics(TRAIN, settings, checkpoint=path)
+    monkeypatch.setattr(training, "_epoch", one_epoch)
+    torch.manual_seed(99)
+    found, again = train_dynamics(TRAIN, settings, checkpoint=path)
+    assert {name: values.tolist() for name, values in again.items()} == {k: v.tolist() for k, v in curves.items()}
+    for name, value in expected.state_dict().items():
+        assert torch.equal(found.state_dict()[name], value)
+
+
+def test_a_checkpoint_of_other_settings_or_data_is_refused(tmp_path):
+    path = tmp_path / "checkpoint.safetensors"
+    train_dynamics(TRAIN, QUICK, checkpoint=path)
+    for tracks, settings in ((TRAIN, replace(QUICK, epochs=4)), (TRAIN[:-1], QUICK)):
+        with pytest.raises(FileError, match="belongs to a training with other settings or data"):
+            train_dynamics(tracks, settings, checkpoint=path)

@@ -72,11 +72,16 @@ def run(words: Sequence[str]) -> int:
 
 
 def _with_sentences(work: Callable[[], int]) -> int:
-    try:
-        return work()
-    except (KpirlError, OSError) as error:
-        print(f"error: {_sentence(error)}", file=sys.stderr)
-        return 2
+    with stoppable():
+        try:
+            return work()
+        except (KpirlError, OSError) as error:
+            print(f"error: {_sentence(error)}", file=sys.stderr)
+            return 2
+        except KeyboardInterrupt as stop:
+            exec("")  # Python forgets that Ctrl-C passed an `exec`, as in dataclass(): else it would end as if killed
+            print(f"\ninterrupted: {stop}." if str(stop) else "\ninterrupted.", file=sys.stderr)
+            return 130
 
 
 def _dispatch(words: list[str]) -> int:
@@ -119,17 +124,18 @@ def _read_and_work(parser: Parser, words: list[str], module: str) -> int:
 
 
 def _work(parser: Parser, args: Namespace, module: str) -> int:
-    with _hushed(args.quiet), stoppable(), within_memory():
-        try:
-            code, stopped = import_module(module).main(args) or 0, None
-        except KeyboardInterrupt as stop:
-            code, stopped = 130, str(stop) or "nothing was saved"
-        except ModuleNotFoundError as error:
-            raise _missing(parser.prog, error) from error
-    write_config(args.out / "config.yaml", parser, args)
+    code, stopped = 0, ""
+    try:
+        with _hushed(args.quiet), within_memory():
+            code = import_module(module).main(args) or 0
+    except ModuleNotFoundError as error:
+        raise _missing(parser.prog, error) from error
+    except KeyboardInterrupt as stop:
+        stopped = str(stop) or "nothing was saved"
+    write_config(args.out / "config.yaml", parser, args)  # when the exception no longer keeps workers alive
     if stopped:
-        print(f"\ninterrupted: {stopped}.", file=sys.stderr)
-    return code
+        raise KeyboardInterrupt(stopped)
+    return int(code)
 
 
 def _missing(program: str, error: ModuleNotFoundError) -> Exception:

@@ -7,7 +7,9 @@ from reference import REFERENCES, Reference, coarse, gradient_error, learned, so
 from tqdm import tqdm
 
 from kpirl_ocp import SQP, Fatrop, Ipopt, Riccati
+from kpirl_ocp.episodes import write_whole
 from kpirl_ocp.errors import CertificateError, OptionError
+from kpirl_ocp.reporting import said_if_interrupted
 from kpirl_ocp.spelling import suggestion
 
 SOLVERS = (Riccati(1e-9), Ipopt(1e-9), Fatrop(1e-7), SQP())
@@ -76,12 +78,13 @@ def chosen(names: list[str] | None) -> list[Reference]:
 
 def main(args: Namespace) -> None:
     lines, ratios = [" | ".join(HEADER), " | ".join(["---"] * len(HEADER))], []
-    for reference in tqdm(chosen(args.only), "reference suite"):
-        words, ratio = row(reference)
-        lines.append(" | ".join(words))
-        ratios.append(ratio)
-        print(lines[-1], flush=True)
-    path = args.out / "reference_suite.md"
-    table = "".join(f"| {line} |\n" for line in lines)
-    path.write_text(f"# Reference suite\n\n{table}{summary(ratios)}{NOTE}")
+    path, references = args.out / "reference_suite.md", chosen(args.only)
+    with said_if_interrupted(lambda: f"{len(ratios)} of {len(references)} problems are in {path}"):
+        for reference in tqdm(references, "reference suite"):
+            words, ratio = row(reference)
+            lines.append(" | ".join(words))
+            ratios.append(ratio)
+            print(lines[-1], flush=True)
+            table = "".join(f"| {line} |\n" for line in lines)
+            write_whole(path, f"# Reference suite\n\n{table}{summary(ratios)}{NOTE}")
     print(f"table: {path}")

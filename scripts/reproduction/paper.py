@@ -8,7 +8,7 @@ from pathlib import Path
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.visual.demonstrations import robot_demonstration
 from kpirl_ocp.irl.visual.learning import InnerLoop
-from kpirl_ocp.reporting import write_metrics
+from kpirl_ocp.reporting import said_if_interrupted, write_metrics
 from reproduction import (
     axes,
     background,
@@ -118,10 +118,8 @@ def with_background(
 def main(args: Namespace) -> None:
     if args.address and args.backend == "loky":
         raise OptionError("--address is for --backend dask or ray; loky runs on this machine")
-    try:
+    with said_if_interrupted(lambda: f"finished parts are in {args.out}; the same command goes on"):
         reproduce(args)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"finished parts are in {args.out}; the same command goes on") from None
 
 
 def reproduce(args: Namespace) -> None:

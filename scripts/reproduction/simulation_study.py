@@ -11,7 +11,7 @@ from experiments.study import DRAWN, METHODS, Curve, StudySettings
 
 from kpirl_ocp import figures
 from kpirl_ocp.irl.cases.tasks import TASKS
-from kpirl_ocp.reporting import spread, table, write_metrics
+from kpirl_ocp.reporting import said_if_interrupted, spread, table, write_metrics
 from reproduction.simulation import curve_of, job_of, variants_of
 from reproduction.sweep import run_sweep, with_joblib
 
@@ -64,10 +64,8 @@ def draw(results: Results, path: Path) -> Path:
 
 def main(args: Namespace) -> None:
     settings = StudySettings(iterations=args.iterations, tests=args.tests)
-    try:
+    with said_if_interrupted(lambda: f"finished cases are in {args.out}; the same command goes on"):
         results, variants = run_all(args, settings)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"finished cases are in {args.out}; the same command goes on") from None
     header = ["task: method", "train IRL loss [m²]", "test IRL loss [m²]", "relative distance", "rises", "time [s]"]
     print("\n" + table(header, summary(results)))
     print("Mean ± standard deviation over seeds, at the psi with the lowest training loss.")

@@ -10,6 +10,7 @@ from kpirl_ocp.cli.options.collect import SETTINGS
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.perception.data.collection import collect
 from kpirl_ocp.perception.data.motions import MOTIONS
+from kpirl_ocp.reporting import said_if_interrupted
 
 
 def main(args: Namespace) -> None:
@@ -21,7 +22,5 @@ def main(args: Namespace) -> None:
         options = ", ".join(f"--{other.replace('_', '-')}" for other in known)
         raise OptionError(f"--{name.replace('_', '-')} is not for {args.motion}, which has {options}")
     warnings.filterwarnings("ignore", message=".*still being processed by the workers have been cancelled")  # on Ctrl-C
-    try:
+    with said_if_interrupted(lambda: f"finished episodes are in {args.out}; the same command goes on"):
         print(f"episodes: {collect(args.out, kind(**given), args.episodes or kind.episodes, args.seed, args.jobs)}")
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"finished episodes are in {args.out}; the same command goes on") from None

@@ -24,9 +24,10 @@ from kpirl_ocp.ocp.models import KeypointCost, Robot
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.riccati import Riccati
-from kpirl_ocp.reporting import table, write_metrics
+from kpirl_ocp.reporting import said_if_interrupted, table, write_metrics
 from kpirl_ocp.types import Array, Demonstration
 
+CHECKPOINT = "learning.npz"
 OPTIMISERS = {"adam": Adam, "descent": Descent, "lbfgs": LBFGS}
 
 
@@ -64,16 +65,15 @@ def optimiser(args: Namespace) -> Adam | Descent | LBFGS:
 
 
 def learn_from(args: Namespace, start: LearnedCost, problem: OCP, train: list[Demonstration]) -> LearningResult:
-    """Learn and write the best cost, also if interrupted; the same command then goes on from the checkpoint."""
+    """Learn and write the best cost, also if interrupted; the same command goes on from the checkpoint."""
     method = Unrolled(start.solver) if isinstance(start.solver, GradientDescent) else Implicit(start.solver)
-    checkpoint, path = args.out / "learning.npz", args.out / "cost.json"
+    checkpoint, path = args.out / CHECKPOINT, args.out / "cost.json"
     result = learn(problem, train, start.psi, method, optimiser(args), args.steps, checkpoint=checkpoint)
     replace(start, psi=result.psi).write(path)
     if result.interrupted:
         write_metrics(args.out, vars(args), history(result))
         done = f"the best cost of {len(result.losses) - 1} iterations is in {path}"
         raise KeyboardInterrupt(f"{done}; the same command goes on")
-    checkpoint.unlink()
     return result
 
 
@@ -125,14 +125,21 @@ def draw(
 
 def main(args: Namespace) -> None:
     """Learn, then plan with the learned cost."""
-    out, robot = args.out, Robot.iiwa()
+    robot = Robot.iiwa()
     episodes = load(args, robot)
     demonstrations = [as_demonstration(robot, episode) for episode in episodes]
     start = configure(args, episodes[0].horizon, demonstrations[0].observations.shape[1])
     problem = start.problem(robot)
     result = learn_from(args, start, problem, demonstrations[: args.train])
-    learned = replace(start, psi=result.psi)
+    with said_if_interrupted(lambda: f"the learned cost is in {args.out / 'cost.json'}; the same command goes on"):
+        show(args, start, result, problem, episodes)
+    (args.out / CHECKPOINT).unlink()
 
+
+def show(args: Namespace, start: LearnedCost, result: LearningResult, problem: OCP, episodes: list[Episode]) -> None:
+    """Plan with the cost at the start and the learned one; print, write and draw what comes of it."""
+    out, learned, robot = args.out, replace(start, psi=result.psi), Robot.iiwa()
+    demonstrations = [as_demonstration(robot, episode) for episode in episodes]
     plans = {
         name: evaluate(problem, learned.solver, psi, demonstrations)
         for name, psi in (("starting cost", start.psi), ("learned cost", learned.psi))

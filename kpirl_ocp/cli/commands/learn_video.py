@@ -21,7 +21,7 @@ from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, re
 from kpirl_ocp.perception.tracking.pictures import evenly, track_film, track_sheet
 from kpirl_ocp.perception.tracking.tracks import Tracks, read_tracks, write_tracks
 from kpirl_ocp.perception.tracking.watch import Film, extent, find_object, follow_hand, follow_object, seen_at_rest
-from kpirl_ocp.reporting import table, write_metrics
+from kpirl_ocp.reporting import said_if_interrupted, table, write_metrics
 from kpirl_ocp.types import Array
 
 _SHOWN = 8  # frames of the contact sheet
@@ -34,10 +34,13 @@ def main(args: Namespace) -> int:
     if film.camera:
         print(f"camera:  moves its picture by up to {film.camera.reach:.0f} pixels; steadied on the background")
     tracks, length = _watch(args, film)
-    try:
+    with said_if_interrupted(lambda: _kept(args.out)):
         return _imitate(args, film, tracks, length)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"the tracks are in {args.out / 'tracks.npz'}, for --tracks") from None
+
+
+def _kept(out: Path) -> str:
+    cost = f", the learned cost in {out / 'cost.json'}, for --cost" if (out / "cost.json").exists() else ""
+    return f"the tracks are in {out / 'tracks.npz'}, for --tracks{cost}"
 
 
 def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) -> int:

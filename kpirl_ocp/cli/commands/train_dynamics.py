@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from kpirl_ocp import figures
+from kpirl_ocp.cli.commands.train_keypoints import CHECKPOINT, resumable
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.tracks import detect_tracks
@@ -50,6 +51,12 @@ def score_rows(name: str, found: DynamicsScores) -> list[list[object]]:
 def main(args: Namespace) -> None:
     """Train, score, draw."""
     torch.set_num_threads(1)
+    with resumable(args.out / CHECKPOINT):
+        train(args)
+
+
+def train(args: Namespace) -> None:
+    """The dynamics, scored and saved."""
     out = args.out
     detector = KeypointDetector.load(args.detector)
     names = ("activation", "steps", "epochs")
@@ -61,7 +68,7 @@ def main(args: Namespace) -> None:
     shortest = min(len(track.actions) for held_out in tests.values() for track in held_out)
     if not 1 <= args.ahead <= shortest:
         raise ProblemError(f"--ahead must be from 1 to the {shortest} steps of the shortest test, got {args.ahead}.")
-    model, curves = train_dynamics(data, settings, args.seed)
+    model, curves = train_dynamics(data, settings, args.seed, checkpoint=out / CHECKPOINT)
     scores = {name: score_dynamics(model, held_out, args.ahead) for name, held_out in tests.items()}
 
     rows = [row for name, found in scores.items() for row in score_rows(name, found)]

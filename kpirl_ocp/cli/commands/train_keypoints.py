@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,10 @@ from kpirl_ocp.perception.detector.evaluation import DetectorScores, score
 from kpirl_ocp.perception.detector.track_images import contact_sheet, track_video
 from kpirl_ocp.perception.detector.training import PRESETS, train_detector
 from kpirl_ocp.perception.detector.verdict import faults
-from kpirl_ocp.reporting import table, write_metrics
+from kpirl_ocp.reporting import said_if_interrupted, table, write_metrics
 from kpirl_ocp.types import Array
+
+CHECKPOINT = "checkpoint.safetensors"
 
 
 def draw_curves(curves: Mapping[str, Array], path: Path) -> Path:
@@ -46,14 +48,10 @@ def score_rows(scores: dict[str, DetectorScores]) -> list[list[object]]:
     return rows
 
 
-@contextmanager
-def resumable(checkpoint: Path) -> Iterator[None]:
-    """After Ctrl-C: where the training can go on."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        kept = f"the last checkpoint is {checkpoint}; the same command goes on" if checkpoint.exists() else ""
-        raise KeyboardInterrupt(kept) from None
+def resumable(checkpoint: Path) -> AbstractContextManager[None]:
+    """A block in which Ctrl-C says where the training can go on."""
+    words = f"the last checkpoint is {checkpoint}; the same command goes on"
+    return said_if_interrupted(lambda: words if checkpoint.exists() else "")
 
 
 def finish(
@@ -106,21 +104,25 @@ def finish(
 def main(args: Namespace) -> None:
     """Train, score, draw."""
     torch.set_num_threads(args.threads)
+    with resumable(args.out / CHECKPOINT):
+        train(args)
+
+
+def train(args: Namespace) -> None:
+    """The detector, scored and saved."""
     settings = PRESETS[args.preset]
     settings = settings if args.steps is None else replace(settings, steps=args.steps)
     clips = [clip.images for clip in read_recordings(args.data)]
     others = read_videos(args.videos)
-    checkpoint = args.out / "checkpoint.safetensors"
-    with resumable(checkpoint):
-        trained = train_detector(
-            clips,
-            settings,
-            args.seed,
-            others=others,
-            start=KeypointDetector.load(args.start).model if args.start else None,
-            checkpoint=checkpoint,
-            device=args.device,
-        )
+    trained = train_detector(
+        clips,
+        settings,
+        args.seed,
+        others=others,
+        start=KeypointDetector.load(args.start).model if args.start else None,
+        checkpoint=args.out / CHECKPOINT,
+        device=args.device,
+    )
     detector, wrong = KeypointDetector(trained.model, settings.size), []
     try:
         detector = detector.calibrated(others or clips)

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from kpirl_ocp.cli.commands.train_keypoints import finish, resumable
+from kpirl_ocp.cli.commands.train_keypoints import CHECKPOINT, finish, resumable
 from kpirl_ocp.perception.data.motions import HandPlacing, HandWandering, LastJoint, Motion, Placing, Sines
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.robust import RobustSettings, train_robust
@@ -37,17 +37,21 @@ def rendered(share: float, seed: int) -> Iterator[Frame]:
 def main(args: Namespace) -> None:
     """Render, train, score, draw."""
     torch.set_num_threads(args.threads)
+    with resumable(args.out / CHECKPOINT):
+        train(args)
+
+
+def train(args: Namespace) -> None:
+    """The detector, scored and saved."""
     settings = RobustSettings(steps=args.steps, batch=args.batch)
-    checkpoint = args.out / "checkpoint.safetensors"
-    with resumable(checkpoint):
-        detector, curves = train_robust(
-            KeypointDetector.load(args.teacher),
-            rendered(args.clips, args.seed),
-            settings,
-            args.seed,
-            checkpoint=checkpoint,
-            device=args.device,
-        )
+    detector, curves = train_robust(
+        KeypointDetector.load(args.teacher),
+        rendered(args.clips, args.seed),
+        settings,
+        args.seed,
+        checkpoint=args.out / CHECKPOINT,
+        device=args.device,
+    )
     card = {"training": {"seed": args.seed, "clips": args.clips, **asdict(settings)}}
     films = (motion.film(np.random.default_rng([args.seed, 0])) for motion, _ in RENDERED)
     clips = [] if args.test else [np.array([frame.rgb for frame in film]) for film in films]

@@ -132,7 +132,7 @@ def _on_flange(
 ) -> tuple[Keypoint, ...]:
     """Points (K, 3) of the bottle's frame as keypoints of the link that holds it."""
     world = held @ rotation.T + position
-    turn, shift = (np.array(value) for value in robot.link_function(flange)(theta))
+    turn, shift = (value.full() for value in robot.link_function(flange)(theta))
     local = (world - shift.ravel()) @ turn
     return tuple(Keypoint(flange, (x, y, z)) for x, y, z in local.tolist())
 

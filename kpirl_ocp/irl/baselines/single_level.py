@@ -86,5 +86,5 @@ def single_level(
     lower[: len(start)] = np.broadcast_to(np.asarray(least, float), start.shape)
     result = call_solver(ipopt, x0=np.concatenate(guesses), lbx=lower, ubx=np.inf, lbg=0, ubg=0)
     stats = ipopt.stats()
-    learned = np.array(result["x"]).ravel()[: len(start)]
+    learned = result["x"].full().ravel()[: len(start)]
     return SingleLevelResult(learned, float(result["f"]), bool(stats["success"]), str(stats["return_status"]))

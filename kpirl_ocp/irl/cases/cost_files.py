@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from kpirl_ocp.episodes import write_whole
 from kpirl_ocp.errors import FileError
 from kpirl_ocp.ocp.models.keypoint_costs import RBF, Basis, Default, KeypointCost, TimeDependent, Weighted
 from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state
@@ -114,7 +115,7 @@ class LearnedCost:
             "displacement": self.displacement.tolist(),
             "rate": self.rate,
         }
-        path.write_text(json.dumps(content, indent=2) + "\n")
+        write_whole(path, json.dumps(content, indent=2) + "\n")
 
     @classmethod
     def read(cls, path: Path) -> LearnedCost:

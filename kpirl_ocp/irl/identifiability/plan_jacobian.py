@@ -77,7 +77,7 @@ def _unrolled(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method
     unrolled = replace(method, loss=Unrolled(method.solver).loss)
     certificate = unrolled(problem, demonstration, psi).certificate
     states = certificate.solution.states
-    planned = np.array(problem.observe(states.T)).T  # (T+1, n_z)
+    planned = problem.observe(states.T).full().T  # (T+1, n_z)
     size = planned[1:].size
     shifts = np.zeros((-(-size // _TOGETHER) * _TOGETHER, *planned.shape))
     shifts[:size, 1:] = 0.5 * np.eye(size).reshape(size, *planned[1:].shape)
@@ -93,12 +93,12 @@ def _unrolled(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method
 
 def observed(problem: OCP, states: Array) -> Array:
     """z_1 .. z_T (T n_z,) of states (T+1, n_s)."""
-    return np.array(problem.observe(states.T)).T[1:].ravel()
+    return problem.observe(states.T).full().T[1:].ravel()
 
 
 def observation_jacobians(problem: OCP, states: Array) -> Array:
     """dz_t/ds_t (T, n_z, n_s), t = 1 .. T."""
-    slopes = np.array(_observation_slope(problem).map(problem.horizon)(states[1:].T))
+    slopes = _observation_slope(problem).map(problem.horizon)(states[1:].T).full()
     return slopes.T.reshape(problem.horizon, problem.n_states, problem.n_observations).transpose(0, 2, 1)
 
 

@@ -119,7 +119,7 @@ def _check_cost(problem: OCP, demonstration: Demonstration) -> None:
 
 
 def _features_of(problem: OCP, states: Array, demonstration: Demonstration, discount: float) -> Array:
-    return features(np.array(problem.observe(states.T)).T, demonstration, discount)
+    return features(problem.observe(states.T).full().T, demonstration, discount)
 
 
 def _random_plan(

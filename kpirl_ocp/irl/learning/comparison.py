@@ -76,7 +76,7 @@ def largest_curvature(problem: OCP, demonstration: Demonstration, psi: Array, it
     product = ca.Function("product", [u, v], [ca.jtimes(slope, u, v)])
     direction, value = np.random.default_rng(0).normal(size=solution.actions.size), 0.0
     for _ in range(iterations):
-        direction = np.array(product(solution.actions.ravel(), direction / np.linalg.norm(direction))).ravel()
+        direction = product(solution.actions.ravel(), direction / np.linalg.norm(direction)).full().ravel()
         value = float(np.linalg.norm(direction))
     return value
 

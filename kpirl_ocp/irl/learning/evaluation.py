@@ -50,7 +50,7 @@ def evaluate(
     losses, distances = [], []
     for (own, demo), plan in zip(rows, solutions, strict=True):
         losses.append(float(loss(own)(plan.states.T, plan.actions.T, data_of(loss, own, demo))))
-        distances.append(relative_distance(np.array(own.observe(plan.states.T)).T, demo))
+        distances.append(relative_distance(own.observe(plan.states.T).full().T, demo))
     return Evaluation(solutions, np.array(losses), np.array(distances))
 
 

@@ -57,6 +57,6 @@ def _shortest(rows: Array) -> Array:
     structure = {"h": ca.Sparsity.diag(n), "a": ca.Sparsity.dense(*rows.shape)}
     solver = ca.conic("max_margin", "daqp", structure, {"error_on_fail": False, "print_time": False})
     result = solver(h=ca.DM.eye(n), g=0, a=rows / size, lba=1, uba=np.inf)  # tolerances mean the same in all units
-    psi = np.array(result["x"]).ravel()
+    psi = result["x"].full().ravel()
     length, holds = np.linalg.norm(psi), (rows @ psi >= (1 - 1e-6) * size).all()  # DAQP passes over rows of zeros
     return psi / length if solver.stats()["success"] and holds else np.zeros(n)

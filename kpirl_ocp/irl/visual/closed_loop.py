@@ -126,7 +126,7 @@ class KeypointController:
 
     def _predict(self, state: Array, u: Array) -> Array:
         """The state (n_s,) that the model expects after u."""
-        return np.array(self.problem.transition(state, u, self.cost.psi)).ravel()
+        return self.problem.transition(state, u, self.cost.psi).full().ravel()
 
     def _plan_on(self, state: Array, remaining: Array, goal: Array, steps_taken: int) -> Solution:
         """plan(state | remaining)."""

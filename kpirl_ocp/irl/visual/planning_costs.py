@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kpirl_ocp.episodes import write_whole
 from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.irl.cases.cost_files import VISUAL, solver_as_json, solver_of_json
 from kpirl_ocp.ocp.models.keypoint_costs import Default, KeypointCost, TimeDependent
@@ -101,7 +102,7 @@ def write_planning_cost(path: Path, cost: PlanningCost, dynamics: NetworkDynamic
         "efforts": cost.efforts.tolist(),
         "solver": solver_as_json(cost.solver),  # type: ignore[arg-type]
     }
-    path.write_text(json.dumps(content, indent=2) + "\n")
+    write_whole(path, json.dumps(content, indent=2) + "\n")
     return path
 
 

@@ -79,6 +79,7 @@ def remove_former(folder: Path, kept: Mapping[str, str]) -> None:
         if hashlib.sha256(path.read_bytes()).hexdigest() != expected:
             raise FileError(f"{path} is of an earlier export and was changed since: move it away, and export again.")
         path.unlink()
+    (folder / NAME).unlink(missing_ok=True)  # until all of the next are there
 
 
 def _listed(folder: Path) -> dict[str, str]:

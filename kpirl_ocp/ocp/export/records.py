@@ -35,7 +35,7 @@ def record(problem: OCP, solver: Solver, psi: Array, s0: ArrayLike, context: Arr
     """Solve both."""
     start, psi, goal = problem.inputs(s0, psi, context)
     cold = solver.solve(problem, start, psi, goal)
-    after = np.array(problem.dynamics(start, cold.actions[0], psi, goal, np.asarray(problem.schedule)[0])).ravel()
+    after = problem.dynamics(start, cold.actions[0], psi, goal, np.asarray(problem.schedule)[0]).full().ravel()
     if not cold.status.ok:  # there is nothing to continue from
         return Record(start, goal, start, cold, cold)
     return Record(start, goal, after, cold, solver.solve(problem, after, psi, goal, guess=cold))

@@ -177,7 +177,7 @@ class KeypointCost:
         psi = np.asarray(psi, float).ravel()
         if len(psi) != self.n_parameters(horizon, n_observations):
             raise ProblemError(f"psi must have length {self.n_parameters(horizon, n_observations)}, got {len(psi)}.")
-        values = np.array(positive(ca.DM(psi))).ravel()
+        values = positive(ca.DM(psi)).full().ravel()
         basis = self.basis.matrix(horizon)
         split = basis.shape[1] * n_observations
         W = basis @ values[:split].reshape(-1, n_observations) if split else np.ones((horizon, n_observations))

@@ -145,7 +145,7 @@ def keypoint_state(robot: Robot, theta: ArrayLike, unit: float = 1.0, camera: Pi
     theta = np.asarray(theta, float)
     if theta.shape != (robot.n_joints,) or not np.isfinite(theta).all():
         raise ProblemError(f"theta must be {robot.n_joints} finite joint positions, got {theta!r}.")
-    keypoints = np.array(visible_keypoints(robot, camera, ca.DM(theta))).ravel()
+    keypoints = visible_keypoints(robot, camera, ca.DM(theta)).full().ravel()
     return np.concatenate([keypoints / unit, theta, np.zeros(robot.n_joints)])
 
 

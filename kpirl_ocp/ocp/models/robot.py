@@ -131,7 +131,7 @@ class Robot:
 
     def locate(self, theta: np.ndarray) -> np.ndarray:
         """Keypoints (n_keypoints, 3) [m] at the joint positions theta (n_joints,)."""
-        return np.asarray(self.keypoint_function(theta)).reshape(self.n_keypoints, 3)
+        return self.keypoint_function(theta).full().reshape(self.n_keypoints, 3)
 
     def skeleton(self, theta: np.ndarray) -> np.ndarray:
         """Origins (n_joints + 1, 3) [m] of the base and all joints, for drawing."""

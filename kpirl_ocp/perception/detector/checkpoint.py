@@ -19,6 +19,7 @@ from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import FileError
 
 Curves = dict[str, list[float]]
+_CONTENT = "training"  # one key of metadata: the format keeps no order of several, and the same state the same bytes
 
 
 class Checkpoint:
@@ -29,16 +30,16 @@ class Checkpoint:
         self.configuration = json.dumps(configuration, sort_keys=True)
 
     def save(self, model: nn.Module, optimiser: torch.optim.Optimizer, curves: Curves) -> None:
-        """Write the state after len(curves) steps."""
+        """Write the state after as many steps, or epochs, as the curves have numbers."""
         if self.path is None:
             return
         tensors = {f"model.{name}": value.contiguous() for name, value in model.state_dict().items()}
         for index, state in optimiser.state_dict()["state"].items():
             tensors |= {f"adam.{index}.{name}": value.contiguous() for name, value in state.items()}
-        metadata = {"configuration": self.configuration, "curves": json.dumps(curves)}
+        content = json.dumps({"configuration": self.configuration, "curves": curves})
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(self.path) as file:
-            file.write(save(tensors, metadata))
+            file.write(save(tensors, {_CONTENT: content}))
 
     def load(self, model: nn.Module, optimiser: torch.optim.Optimizer, terms: Sequence[str]) -> Curves:
         """Bring model and Adam to the stored state and give its curves; empty curves if nothing was stored.
@@ -53,7 +54,8 @@ class Checkpoint:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no iterator)
         except SafetensorError as error:
             raise FileError(f"{self.path} is no checkpoint: {error}. Delete it to start anew.") from error
-        if not metadata or metadata.get("configuration") != self.configuration:
+        content = json.loads((metadata or {}).get(_CONTENT, "{}"))
+        if content.get("configuration") != self.configuration:
             raise FileError(
                 f"{self.path} belongs to a training with other settings or data: delete it, or use another --out."
             )
@@ -62,7 +64,7 @@ class Checkpoint:
         count = len(state["param_groups"][0]["params"])
         state["state"] = {index: _below(f"adam.{index}.", tensors) for index in range(count)}
         optimiser.load_state_dict(state)
-        curves: Curves = json.loads(metadata["curves"])
+        curves: Curves = content["curves"]
         return curves
 
 

@@ -8,16 +8,21 @@ score is therefore given together with that of persistence.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.optim.lr_scheduler import CosineAnnealingLR
 from tqdm import tqdm
 
 from kpirl_ocp.episodes import ArmTrack
 from kpirl_ocp.errors import TrainingError
+from kpirl_ocp.perception.detector.checkpoint import Checkpoint, Curves
 from kpirl_ocp.perception.dynamics.model import Activation, DynamicsModel
 from kpirl_ocp.types import Array
 
@@ -79,12 +84,39 @@ class Stretches:
         return model.rollout(self.z[:, 0], self.theta, self.velocity, self.actions)
 
 
+class _Training(nn.Module):
+    """All tensors of a training: the model, that of the best epoch, the step size, and torch's random numbers."""
+
+    step_size: Tensor
+    random: Tensor
+
+    def __init__(self, model: DynamicsModel) -> None:
+        super().__init__()
+        self.model, self.best = model, deepcopy(model)
+        self.register_buffer("step_size", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("random", torch.get_rng_state())
+
+    def stand(self, schedule: CosineAnnealingLR) -> None:
+        """Take down step size and random numbers."""
+        self.step_size.fill_(schedule.optimizer.param_groups[0]["lr"])
+        self.random.copy_(torch.get_rng_state())
+
+    def go_on(self, schedule: CosineAnnealingLR, epochs: int) -> None:
+        """Bring step size and random numbers to where they stood after so many epochs."""
+        schedule.optimizer.param_groups[0]["lr"], schedule.last_epoch = float(self.step_size), epochs
+        torch.set_rng_state(self.random)
+
+
 def train_dynamics(
-    tracks: Sequence[ArmTrack], settings: DynamicsSettings, seed: int = 0
+    tracks: Sequence[ArmTrack], settings: DynamicsSettings, seed: int = 0, *, checkpoint: Path | None = None
 ) -> tuple[DynamicsModel, dict[str, Array]]:
     """Train on trajectories; gives the model of the best epoch and the curves "train" and "validation" (NMSE).
 
+    Args:
+        checkpoint: a file written every ten epochs; if it exists, training goes on from there.
+
     Raises:
+        FileError: the checkpoint is damaged or belongs to another training.
         TrainingError: fewer than two trajectories, none of `settings.steps` steps, a coordinate that never changes, or
             a loss that becomes NaN.
     """
@@ -104,11 +136,17 @@ def train_dynamics(
     if still:
         raise TrainingError(f"{', '.join(still)} never changes in the training data: look at the detector.")
     optimiser = torch.optim.AdamW(model.parameters(), settings.step_size, weight_decay=settings.weight_decay)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.epochs)
-    curves: dict[str, list[float]] = {"train": [], "validation": []}
-    best = {name: value.clone() for name, value in model.state_dict().items()}
-    with tqdm(total=settings.epochs, desc="dynamics", unit="epoch") as bar:
-        for _ in range(settings.epochs):
+    schedule = CosineAnnealingLR(optimiser, settings.epochs)
+    state = _Training(model)
+    stored = Checkpoint(checkpoint, {"seed": seed, "data": _digest(train, validation), **asdict(settings)})
+    curves = stored.load(state, optimiser, ("train", "validation"))
+    done = len(curves["train"])
+    if done:
+        state.go_on(schedule, done)
+    with tqdm(total=settings.epochs, initial=done, desc="dynamics", unit="epoch") as bar:
+        for epoch in range(done, settings.epochs):
+            if epoch and _waited(curves) >= settings.patience:
+                break
             curves["train"].append(_epoch(model, optimiser, train, variance, settings.batch))
             with torch.inference_mode():
                 curves["validation"].append(float(_nmse(model, validation, variance)))
@@ -117,13 +155,26 @@ def train_dynamics(
             schedule.step()
             bar.update()
             bar.set_postfix(validation=f"{curves['validation'][-1]:.2g}")
-            waited = len(curves["validation"]) - 1 - int(np.argmin(curves["validation"]))
-            if waited == 0:
-                best = {name: value.clone() for name, value in model.state_dict().items()}
-            if waited >= settings.patience:
-                break
-    model.load_state_dict(best)
-    return model.eval(), {name: np.array(values) for name, values in curves.items()}
+            if _waited(curves) == 0:
+                state.best.load_state_dict(model.state_dict())
+            if (epoch + 1) % 10 == 0 or epoch + 1 == settings.epochs:
+                state.stand(schedule)
+                stored.save(state, optimiser, curves)
+    return state.best.eval(), {name: np.array(values) for name, values in curves.items()}
+
+
+def _digest(*data: Stretches) -> str:
+    """A fingerprint of the training data."""
+    digest = hashlib.sha256()
+    for part in data:
+        for column in (part.z, part.theta, part.velocity, part.actions):
+            digest.update(column.numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _waited(curves: Curves) -> int:
+    """Epochs since the best validation loss."""
+    return len(curves["validation"]) - 1 - int(np.argmin(curves["validation"]))
 
 
 def _epoch(

@@ -66,7 +66,7 @@ def _compare(graph: Graph, network: GraphNetwork) -> None:
     for _ in range(_POINTS):
         given = {n: rng.normal(size=graph.shapes[n]).astype(to_numpy(kinds[n])) for n in graph.inputs}
         expected = np.ravel(reference.run(None, given)[0])
-        found = np.array(network.function(*(np.ravel(x).astype(float) for x in given.values()))).ravel()
+        found = network.function(*(np.ravel(x).astype(float) for x in given.values())).full().ravel()
         if found.shape != expected.shape or not np.allclose(
             found, expected, rtol=0, atol=_AGREEMENT * (1 + np.abs(expected).max()), equal_nan=True
         ):

@@ -104,7 +104,7 @@ def depends(expression: Expression, *symbols: Expression) -> list[bool]:
 
 def values_of(expression: Expression) -> Array | None:
     """The numbers of a column that depends on no symbol, else None."""
-    return None if ca.symvar(expression) else np.array(ca.evalf(ca.densify(expression))).ravel()
+    return None if ca.symvar(expression) else ca.evalf(ca.densify(expression)).full().ravel()
 
 
 def strange(expression: Expression, symbols: Iterable[Expression]) -> list[str]:

@@ -74,7 +74,7 @@ def _split(draft: Draft, name: str, bound: Any, length: int, sign: int) -> tuple
         raise ProblemError(f"{name} as an expression must have length {length} or 1, got the shape {moving.shape}.")
     moving = ca.densify(moving) * draft.kind.ones(length)
     symbols = ca.symvar(moving)
-    values: Array = np.array(ca.Function("bound", symbols, [moving])(*[1.0] * len(symbols))).ravel()
+    values: Array = ca.Function("bound", symbols, [moving])(*[1.0] * len(symbols)).full().ravel()
     values[_moving(moving)] = sign * np.inf
     return values, moving
 
