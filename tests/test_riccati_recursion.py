@@ -268,7 +268,7 @@ class Constrained:
         run("kkt_init", self.kkt, self.dimensions, self.rows, self.memory)
         self.matrices = {
             "F": by_columns(lq.F),
-            "H": np.concatenate([by_columns(np.tril(lq.H)), by_columns(np.tril(lq.H_last))]),
+            "H": np.concatenate([by_columns(lq.H), by_columns(lq.H_last)]),
             "G": np.concatenate([part.ravel() for part in self.G]),
             "E": np.concatenate([part.ravel() for part in self.E]),
         }

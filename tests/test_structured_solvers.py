@@ -243,7 +243,7 @@ def test_second_derivatives_are_handed_over_where_a_solve_ended_with_them(name):
     np.testing.assert_array_equal(found.actions, Riccati().solve(problem, s0, psi, context).actions)
     instance = Instance(problem, s0, psi, context)
     fresh = instance.derivatives(primal_dual(instance, found))
-    kept = {field.name: getattr(derivatives, field.name).copy() for field in fields(derivatives)}
+    kept = {field.name: np.copy(getattr(derivatives, field.name)) for field in fields(derivatives)}
     for field, one in kept.items():
         other = getattr(fresh, field)
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-13 * max(1.0, np.abs(other).max(initial=0.0)))

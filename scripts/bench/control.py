@@ -87,9 +87,14 @@ def _count(iterations: Mapping[str, int], name: str) -> Numbers:
 
 
 def _gradient(case: ControlProblem) -> Callable[[], object]:
-    """Of a linear function of the plan, after a solve that hands over its derivatives."""
-    problem, rng = case.problem, np.random.default_rng(0)
-    solution, derivatives = Riccati(tolerance=TOLERANCE).solve_and_linearise(*case.arguments)
+    """Of a linear function of the plan, after a solve that hands over its derivatives.
+
+    Gradients run on what the last solve of their problem ran on: machine code, for which an equal problem is needed
+    that nobody solves without.
+    """
+    problem, rng = replace(case.problem), np.random.default_rng(0)
+    solver = Riccati(tolerance=TOLERANCE, compile=True)
+    solution, derivatives = solver.solve_and_linearise(problem, *case.arguments[1:])
     slopes = [rng.normal(size=part.shape) for part in (solution.states, solution.actions)]
     return lambda: sensitivity(problem, solution, "flag", derivatives).pull(*slopes)
 

@@ -19,7 +19,7 @@ def measure(preset: Preset) -> Part:
     for data in preset.models("tanh", steps=preset.long_steps):
         numbers[data.name] = _measure(data, preset)
         rows += [[data.name, name, value] for name, value in numbers[data.name].pop("text").items()]
-    note = "Gradient and certificate follow the solve. Unrolled takes the same model without bounds."
+    note = "The solve hands over its derivatives to the gradient. Unrolled takes the same model without bounds."
     title = f"Implicit gradient, T = {preset.paper_horizon}"
     return Part(numbers, [Table(title, ["weights", "", "time [ms]"], rows, note)])
 
@@ -30,10 +30,10 @@ def _measure(data: NetworkCase, preset: Preset) -> Numbers:
     unrolled = Unrolled(GradientDescent(data.steps, data.step_size))
     arguments = demonstration.s0, psi, demonstration.context
     unrolling = f"Unrolled, N = {data.steps}"
-    solution = solver.solve(problem, *arguments)
+    solution, derivatives = solver.solve_and_linearise(problem, *arguments)
     calls = {
         SOLVE: lambda: solver.solve(problem, *arguments),
-        GRADIENT: lambda: differentiate(problem, demonstration, solution),
+        GRADIENT: lambda: differentiate(problem, demonstration, solution, derivatives=derivatives),
         BOTH: lambda: method(problem, demonstration, psi),
         unrolling: lambda: unrolled(data.problem, demonstration, psi),
     }

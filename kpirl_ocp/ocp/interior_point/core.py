@@ -103,9 +103,9 @@ class Core:
             self._model = self._make_model()
             self._library.kpirl_mpc_core_set_model(self._core, ctypes.addressof(self._model))
         kept = [np.require(array, float, ("C", "A")) for array in (s0, psi, context)]
-        numbers = c.Numbers(*(array.ctypes.data for array in kept), self._schedule.ctypes.data)
+        numbers = c.Numbers(*map(c.address_of, kept), c.address_of(self._schedule))
         arrays = [np.require(array, float, ("C", "A")) for array in self._start(guess)]
-        start = c.Start(*(array.ctypes.data for array in arrays))
+        start = c.Start(*map(c.address_of, arrays))
         given = (ctypes.addressof(x) for x in (numbers, options, start, self._residuals))
         status = self._library.kpirl_mpc_core_solve(self._core, *given)
         solution = self._solution(STATUS[status], options.barrier, psi, context)
@@ -117,7 +117,7 @@ class Core:
         if not self._view.matrices:
             return None
         gradient = np.empty(self._n_w)
-        self._library.kpirl_mpc_core_gradient(self._core, gradient.ctypes.data)
+        self._library.kpirl_mpc_core_gradient(self._core, c.address_of(gradient))
         return StageDerivatives(**self._values(gradient), **self._matrices())
 
     def values_at(self, s0: Array, psi: Array, context: Array, point: Sequence[Array]) -> StageValues:
@@ -128,28 +128,29 @@ class Core:
         """`values_at` and second derivatives."""
         return StageDerivatives(**self._evaluate(s0, psi, context, point, c.SECOND), **self._matrices())
 
-    def _evaluate(self, s0: Array, psi: Array, context: Array, point: Sequence[Array], level: int) -> dict[str, Array]:
+    def _evaluate(self, s0: Array, psi: Array, context: Array, point: Sequence[Array], level: int) -> dict[str, Any]:
         kept = [np.require(array, float, ("C", "A")) for array in (s0, psi, context, *point)]
-        numbers = c.Numbers(*(array.ctypes.data for array in kept[:3]), self._schedule.ctypes.data)
-        x, costates, path, equality = (array.ctypes.data for array in kept[3:])
+        numbers = c.Numbers(*map(c.address_of, kept[:3]), c.address_of(self._schedule))
+        x, costates, path, equality = map(c.address_of, kept[3:])
         start = c.Start(x, costates, None, path, equality)
         at = ctypes.addressof(numbers), ctypes.addressof(start)
         failed = self._library.kpirl_mpc_core_evaluate_at(self._core, *at, level)
         self._library.kpirl_mpc_core_view(self._core, ctypes.addressof(self._view))
         self._evaluations += self.problem.horizon
         values = self._values(c.read(self._view.gradient, self._n_w))
-        return {name: np.full(array.shape, np.nan) for name, array in values.items()} if failed else values
+        return {name: np.nan * value for name, value in values.items()} if failed else values
 
-    def _values(self, gradient: Array) -> dict[str, Array]:
+    def _values(self, gradient: Array) -> dict[str, Any]:
         problem, view, T = self.problem, self._view, self.problem.horizon
         return {
+            "objective": view.objective,
             "defects": c.read(view.defects, T * problem.n_states),
             "path": c.read(view.path, T * problem.n_path + problem.n_terminal),
             "equality": c.read(view.equality, T * problem.n_path_equality + problem.n_terminal_equality),
             "gradient": gradient,
         }
 
-    def _matrices(self) -> dict[str, Array]:
+    def _matrices(self) -> dict[str, Any]:
         problem, view = self.problem, self._view
         T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
         return {
@@ -241,7 +242,7 @@ class Core:
             problem.n_path_equality,
         )
         net = np.empty(self._n_w)
-        self._library.kpirl_mpc_bound_multipliers(self._core, net.ctypes.data)
+        self._library.kpirl_mpc_bound_multipliers(self._core, c.address_of(net))
         state, action = split(net, T, n_s, n_u)
         state[0, ~problem.free_start] = 0
         path = c.read(view.path_multipliers, T * n_h + problem.n_terminal)

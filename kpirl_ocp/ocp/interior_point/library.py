@@ -6,8 +6,10 @@ import ctypes
 import platform
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.types import Array
@@ -153,11 +155,12 @@ KKT = _structure(
     adjoint=Triple,
     move=Triple,
     barrier=REAL,
+    objective=REAL,
     **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "softest"), POINTER),
     spare=Factors,
     **dict.fromkeys(("origin", "matrices", "work"), POINTER),
     **dict.fromkeys(("lowest", "qualification", "step", "margin", "distance"), REAL),
-    **dict.fromkeys(("factored", "immovable", "conditioned", "stepped", "reached"), INT),
+    **dict.fromkeys(("evaluated", "factored", "immovable", "conditioned", "stepped", "reached"), INT),
 )
 Evidence = _structure(
     "Evidence",
@@ -221,7 +224,16 @@ def read(address: int, size: int) -> Array:
     """A copy of numbers of the C code."""
     if not size:
         return np.zeros(0)
-    return np.ctypeslib.as_array((ctypes.c_double * size).from_address(address)).copy()
+    numbers: Array = np.frombuffer((ctypes.c_double * size).from_address(address))  # type: ignore[call-overload]
+    return numbers.copy()
+
+
+def address_of(array: NDArray[Any]) -> int:
+    """Of the first number of an array; a quarter of the time that `array.ctypes.data` takes."""
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
+    except (TypeError, ValueError, BufferError):  # read only, empty, or not contiguous
+        return int(array.ctypes.data)
 
 
 def _layout() -> int:

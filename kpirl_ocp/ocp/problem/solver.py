@@ -20,10 +20,11 @@ Guess = Solution | Trajectory | None
 class StageValues:
     """The constraints and the gradient of the Lagrangian without bounds at a point, flat, in the order of time.
 
-    defects: f - s_next (T n_s,). path: h at all stages, then g_T. equality: e at all stages, then e_T.
+    objective: J. defects: f - s_next (T n_s,). path: h at all stages, then g_T. equality: e at all stages, then e_T.
     gradient: by x = (s_0, u_0, s_1, .., s_T), given entries of s_0 included.
     """
 
+    objective: float
     defects: Array
     path: Array
     equality: Array

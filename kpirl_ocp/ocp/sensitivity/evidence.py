@@ -31,10 +31,10 @@ def measure(
         direction: (n_w,) along which the problem has to be smooth; by default the adjoint.
     """
     found, evidence = ByParameters.empty(system.instance.problem), c.Evidence()
-    structure, along = found.structure, None if direction is None else direction.ctypes.data
+    structure, along = found.structure, None if direction is None else c.address_of(direction)
     systems, ends = (system.address, nearby.address), (ctypes.addressof(structure), ctypes.addressof(evidence))
     function = core.function(parameter_derivatives.pull)
-    core.library.kpirl_mpc_certify(*systems, core.address, function, slope.ctypes.data, along, *ends)
+    core.library.kpirl_mpc_certify(*systems, core.address, function, c.address_of(slope), along, *ends)
     return found, {name: float(getattr(evidence, name)) for name, *_ in evidence._fields_}
 
 
@@ -73,6 +73,6 @@ def loss_at(problem: OCP, build: Build, data: Array, x: Array) -> tuple[float, A
     kept = rows.dimensions, rows.structure
     sizes = [ctypes.addressof(part) for part in kept]
     with borrow_core(problem) as core:
-        arrays = (array.ctypes.data for array in (given, x, value, slopes, work))
+        arrays = map(c.address_of, (given, x, value, slopes, work))
         kink = core.library.kpirl_mpc_kink_of_loss(*sizes, core.function(build), *arrays)
     return float(value[0]), slopes, float(kink)

@@ -41,7 +41,7 @@ class ByParameters(NamedTuple):
     @property
     def structure(self) -> Any:
         """For the C code."""
-        return c.ByParameters(*(part.ctypes.data for part in self))
+        return c.ByParameters(*map(c.address_of, self))
 
 
 @dataclass(frozen=True)

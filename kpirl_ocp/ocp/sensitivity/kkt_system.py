@@ -101,7 +101,7 @@ class KKTSystem:
         self.structure, self.address, self.finite = self._memory.structure, self._memory.address, False
         numbers = instance.s0, instance.psi, instance.context, instance.problem.schedule
         self._numbers = [np.ascontiguousarray(array, float) for array in numbers]
-        self.structure.numbers = c.Numbers(*(array.ctypes.data for array in self._numbers))
+        self.structure.numbers = c.Numbers(*map(c.address_of, self._numbers))
         self.structure.barrier = instance.barrier
         self._kept: Any = None
 
@@ -126,6 +126,7 @@ class KKTSystem:
         for name, part in (("x", point.x), ("costates", point.costates), ("forces", point.forces)):
             array = np.ascontiguousarray(part, float)
             ctypes.memmove(getattr(self.structure.point, name), array.ctypes.data, array.nbytes)
+        self.structure.evaluated = False
 
     def take(self, derivatives: StageDerivatives) -> None:
         """Take derivatives that are known at the point."""
@@ -189,6 +190,7 @@ class KKTSystem:
         }
         _, path, equality = self.instance.rows.split(-c.read(self.structure.slack, m))
         return StageDerivatives(
+            objective=self.structure.objective,
             defects=c.read(self.structure.defects, n_c),
             path=path,
             equality=equality,
@@ -232,7 +234,7 @@ class Triple:
         """start: (n_s,) given entries of s_0, of a right-hand side."""
         arrays = [point.x, point.costates, point.forces, *([] if start is None else [start])]
         self._kept = [np.ascontiguousarray(array, float) for array in arrays]
-        self._structure = c.Triple(*(array.ctypes.data for array in self._kept))
+        self._structure = c.Triple(*map(c.address_of, self._kept))
 
     @property
     def address(self) -> int:
@@ -262,15 +264,15 @@ def _arrays_of(solution: Solution) -> tuple[Any, list[Array]]:
     parts = [solution.states, solution.actions, m.dynamics, m.state, m.action]
     parts += [m.path, m.terminal, m.path_equality, m.terminal_equality]
     arrays = [np.ascontiguousarray(part, float) for part in parts]
-    return c.SolutionArrays(*(array.ctypes.data for array in arrays)), arrays
+    return c.SolutionArrays(*map(c.address_of, arrays)), arrays
 
 
 def _view_of(derivatives: StageDerivatives) -> tuple[Any, list[Array]]:
     """The structure `kpirl_mpc_view`, and what must be kept as long."""
     names = ("defects", "path", "equality", "gradient", "F", "G", "E", "H")
     arrays = [np.ascontiguousarray(getattr(derivatives, name), float) for name in names]
-    addresses = (array.ctypes.data for array in arrays)
-    return c.View(**dict(zip(names, addresses, strict=True))), arrays
+    view = c.View(**dict(zip(names, map(c.address_of, arrays), strict=True)), objective=derivatives.objective)
+    return view, arrays
 
 
 def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:

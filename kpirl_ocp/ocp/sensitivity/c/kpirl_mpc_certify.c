@@ -46,6 +46,7 @@ void kpirl_mpc_kkt_pull(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *functi
   by_start(s, adjoint, k->work, by->s0);
   kpirl_mpc_rows_times(s, adjoint->x, values);
   for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) adjoint->forces[i] += s->sigma[i] * values[i];
+  if (k->dimensions.n_parameters + k->dimensions.n_context == 0) return;
   if (kpirl_mpc_weigh(k, function, adjoint, k->numbers.psi, k->numbers.context, by->psi, by->context))
     for (i = 0; i < k->dimensions.n_parameters; ++i) by->psi[i] = (real)NAN;
 }

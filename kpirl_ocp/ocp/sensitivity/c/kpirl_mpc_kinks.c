@@ -10,21 +10,23 @@ static const real DIFFERENCE = (real)1e-6; /* step of a difference quotient, rel
 static const real WIDE = (real)1e-4;       /* over which most problems look straight */
 static const real CLOSER = (real)0.1;      /* of two steps the shorter one; jumps do not shrink with it */
 static const real ENOUGH = (real)1e-3;     /* disagreement above which the shorter step is tried, too */
-static const real ROUNDING = (real)1e-12;  /* of the conditions, relative, with a margin by which kinks are told from it */
-static const real SMALL = (real)1e-3;      /* share of the largest parameter that the others move by at least */
 static const real FLOOR = (real)1e-9;      /* share of the whole gradient below which one of its entries may be rounding */
 
-static int n_conditions(const kpirl_mpc_system *s) {
+int kpirl_mpc_n_conditions(const kpirl_mpc_system *s) {
   return kpirl_mpc_system_n_point(s) + s->horizon * s->n_states + kpirl_mpc_system_n_rows(s) - s->n_bounds;
 }
 
-/* Gradient of the Lagrangian, defects, path constraints and equalities at x, with the forces of kkt->point; NaN where a function
- * failed. Returns the Lagrangian. */
-static real conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const real *x,
+static real lagrangian_of(const kpirl_mpc_kkt *k, real objective, const real *defects, const real *rows) {
+  const kpirl_mpc_system *s = &k->system;
+  const int m = kpirl_mpc_system_n_rows(s) - s->n_bounds, n_c = s->horizon * s->n_states;
+  return objective + kpirl_mpc_dot(k->point.costates, defects, n_c) + kpirl_mpc_dot(k->point.forces + s->n_bounds, rows, m);
+}
+
+real kpirl_mpc_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const real *x,
                        real *values) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n_path = s->horizon * s->n_path + s->n_terminal;
-  const int n = n_conditions(s);
+  const int n = kpirl_mpc_n_conditions(s);
   kpirl_mpc_start at = {0};
   kpirl_mpc_view view;
   int i, failed;
@@ -39,8 +41,18 @@ static real conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl
   memcpy(values + n_w + n_c, view.path, (size_t)n_path * sizeof(real));
   memcpy(values + n_w + n_c + n_path, view.equality, (size_t)(n - n_w - n_c - n_path) * sizeof(real));
   for (i = 0; failed && i < n; ++i) values[i] = (real)NAN;
-  return view.objective + kpirl_mpc_dot(at.costates, view.defects, n_c) + kpirl_mpc_dot(at.path, view.path, n_path) +
-         kpirl_mpc_dot(at.equality, view.equality, n - n_w - n_c - n_path);
+  return lagrangian_of(k, view.objective, values + n_w, values + n_w + n_c);
+}
+
+real kpirl_mpc_known_conditions(const kpirl_mpc_kkt *k, real *values) {
+  const kpirl_mpc_system *s = &k->system;
+  const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, m = kpirl_mpc_system_n_rows(s);
+  real *rows = values + n_w + n_c;
+  int i;
+  memcpy(values, k->gradient, (size_t)n_w * sizeof(real));
+  memcpy(values + n_w, k->defects, (size_t)n_c * sizeof(real));
+  for (i = s->n_bounds; i < m; ++i) rows[i - s->n_bounds] = -k->slack[i];
+  return lagrangian_of(k, k->objective, k->defects, rows);
 }
 
 /* ---- along x ---------------------------------------------------------------------------------------------------- */
@@ -105,14 +117,14 @@ static real value_jump(const kpirl_mpc_kkt *k, const real *L, const real *left, 
 static real kink(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, real lagrangian, const real *here, const real *units,
                  const real *move, real *work) {
   const kpirl_mpc_system *s = &k->system;
-  const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n = n_conditions(s);
+  const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n = kpirl_mpc_n_conditions(s);
   real *left = work, *right = left + n, *slope = right + n, *x = slope + n, *zeros = x, *values = x, own = 0, whole, worst, L[3];
   int i;
   L[1] = lagrangian;
   for (i = 0; i < n_w; ++i) x[i] = k->point.x[i] - move[i];
-  L[0] = conditions(k, core, &k->numbers, x, left);
+  L[0] = kpirl_mpc_conditions(k, core, &k->numbers, x, left);
   for (i = 0; i < n_w; ++i) x[i] = k->point.x[i] + move[i];
-  L[2] = conditions(k, core, &k->numbers, x, right);
+  L[2] = kpirl_mpc_conditions(k, core, &k->numbers, x, right);
   memset(zeros, 0, (size_t)n_c * sizeof(real));
   kpirl_mpc_lagrangian_times(s, move, zeros, slope);
   kpirl_mpc_defects_times(s, move, slope + n_w);
@@ -137,150 +149,27 @@ static real over_length(real error) {
   return kpirl_mpc_larger(DIFFERENCE, wide);
 }
 
-real kpirl_mpc_kink_along(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *direction) {
+/* By the conditions `here`, whose Lagrangian is given. */
+static real kink_from(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *direction, real lagrangian, const real *here,
+                      real *work) {
   const kpirl_mpc_system *s = &k->system;
-  const int n_w = kpirl_mpc_system_n_point(s), n = n_conditions(s);
+  const int n_w = kpirl_mpc_system_n_point(s);
   const real size = largest_share(s, direction);
-  real *here = k->work, *units = here + n, *move = units + n, *work = move + n_w, error = (real)INFINITY;
-  real length = over_length(k->step), lagrangian;
+  real *units = work, *move = units + kpirl_mpc_n_conditions(s), error = (real)INFINITY, length = over_length(k->step);
   int i, j;
-  if (size == 0) return 0;
   find_units(k, units);
-  lagrangian = conditions(k, core, &k->numbers, k->point.x, here);
   for (j = length > DIFFERENCE; j < 2 && !(error <= ENOUGH); ++j, length *= CLOSER) {
     for (i = 0; i < n_w; ++i) move[i] = length / size * direction[i];
-    error = kpirl_mpc_smaller(error, kink(k, core, lagrangian, here, units, move, work));
+    error = kpirl_mpc_smaller(error, kink(k, core, lagrangian, here, units, move, move + n_w));
   }
   return error;
 }
 
-/* ---- along the parameters ------------------------------------------------------------------------------------------ */
-
-real kpirl_mpc_jump(const real *values, int count, real whole) {
-  real worst = 0;
-  int i;
-  for (i = 0; i < count; ++i) {
-    const real here = values[i], *far = values + count + i, *near = far + 2 * count;
-    const real left_over = kpirl_mpc_abs(near[0] - near[count] - CLOSER * (far[0] - far[count])) / (1 - CLOSER);
-    const real all[5] = {here, far[0], far[count], near[0], near[count]};
-    const real size = kpirl_mpc_larger(kpirl_mpc_largest(all, 5), FLOOR * whole);
-    worst = kpirl_mpc_worse(worst, kpirl_mpc_over(left_over, size));
-  }
-  return worst;
-}
-
-int kpirl_mpc_weigh(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *function, const kpirl_mpc_triple *weights,
-                    const real *psi, const real *context, real *by_psi, real *by_context) {
-  const kpirl_mpc_system *s = &k->system;
-  const int n_path = s->horizon * s->n_path + s->n_terminal;
-  kpirl_mpc_weighted_arguments at;
-  kpirl_mpc_weighted_results to;
-  at.x = k->point.x;
-  at.psi = psi;
-  at.context = context;
-  at.costates = k->point.costates;
-  at.z = k->point.forces + s->n_bounds;
-  at.nu = at.z + n_path;
-  at.dx = weights->x;
-  at.dcostates = weights->costates;
-  at.dz = weights->forces + s->n_bounds;
-  at.dnu = at.dz + n_path;
-  to.by_psi = by_psi;
-  to.by_context = by_context;
-  return function->evaluate(function->self, &at, &to);
-}
-
-/* A random direction, in units of the numbers. */
-static void find_moves(const kpirl_mpc_kkt *k, const real *numbers, int count, real *moves) {
-  const real size = kpirl_mpc_largest(numbers, count);
-  int i;
-  for (i = 0; i < count; ++i) {
-    const real own = size > 0 ? kpirl_mpc_larger(kpirl_mpc_abs(numbers[i]), SMALL * size) : 1;
-    moves[i] = own * k->rows->uniform[i];
-  }
-}
-
-static void moved(const real *from, const real *move, real length, int count, real *to) {
-  int i;
-  for (i = 0; i < count; ++i) to[i] = from[i] + length * move[i];
-}
-
-/* The sum of weights times the conditions, where the parameters and s_0 are moved; and the sum of the absolute values. */
-static real weighted_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
-                                real length, real *sizes, real *work) {
-  const kpirl_mpc_system *s = &k->system;
-  const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n = n_conditions(s), n_s = s->n_states;
-  const int n_psi = k->dimensions.n_parameters, n_context = k->dimensions.n_context;
-  real *values = work, *x = values + n, *psi = x + n_w, *s0 = psi + n_psi, *context = s0 + n_s, sum = 0;
-  kpirl_mpc_numbers numbers = k->numbers;
-  int i;
-  numbers.psi = psi;
-  numbers.s0 = s0;
-  numbers.context = context;
-  moved(k->numbers.psi, moves, length, n_psi, psi);
-  moved(k->numbers.s0, moves + n_psi, length, n_s, s0);
-  moved(k->numbers.context, moves + n_psi + n_s, length, n_context, context);
-  memcpy(x, k->point.x, (size_t)n_w * sizeof(real));
-  moved(k->point.x, moves + n_psi, length, n_s, x);
-  for (i = 0; i < s->n_free; ++i) x[s->free[i]] = k->point.x[s->free[i]];
-  conditions(k, core, &numbers, x, values);
-  *sizes = 0;
-  for (i = 0; i < n; ++i) {
-    const real weight = i < n_w ? weights->x[i]
-                        : i < n_w + n_c ? weights->costates[i - n_w] : weights->forces[s->n_bounds + i - n_w - n_c];
-    sum += weight * values[i];
-    *sizes += kpirl_mpc_abs(weight * values[i]);
-  }
-  return sum;
-}
-
-/* The derivatives by psi and the context, times their moves, at steps 0, +h, -h, +h/10 and -h/10. */
-static int weighted_slopes(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *function, const kpirl_mpc_triple *weights,
-                           const kpirl_mpc_by_parameters *by, const real *moves, real *slopes, real *work) {
-  static const real steps[] = {0, 1, -1, (real)0.1, (real)-0.1};
-  const int n_psi = k->dimensions.n_parameters, n_context = k->dimensions.n_context, n = n_psi + n_context;
-  const real *move_context = moves + n_psi + k->system.n_states;
-  real *psi = work, *context = psi + n_psi;
-  int i, j, failed = 0;
-  for (j = 0; j < 5; ++j) {
-    real *to = slopes + j * n;
-    moved(k->numbers.psi, moves, steps[j] * DIFFERENCE, n_psi, psi);
-    moved(k->numbers.context, move_context, steps[j] * DIFFERENCE, n_context, context);
-    if (j > 0)
-      failed |= kpirl_mpc_weigh(k, function, weights, psi, context, to, to + n_psi);
-    else {
-      memcpy(to, by->psi, (size_t)n_psi * sizeof(real));
-      memcpy(to + n_psi, by->context, (size_t)n_context * sizeof(real));
-    }
-    for (i = 0; i < n_psi; ++i) to[i] *= moves[i];
-    for (i = 0; i < n_context; ++i) to[n_psi + i] *= move_context[i];
-  }
-  return failed;
-}
-
-real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
-                                  const kpirl_mpc_triple *weights, const kpirl_mpc_by_parameters *by) {
-  const int n_psi = k->dimensions.n_parameters, n_s = k->system.n_states, n_context = k->dimensions.n_context;
-  real *moves = k->work, *slopes = moves + n_psi + n_s + n_context, *work = slopes + 5 * (n_psi + n_context);
-  real expected = 0, total = 0, sides[3], sizes, ignored, noise, whole, off;
-  int i;
-  find_moves(k, k->numbers.psi, n_psi, moves);
-  find_moves(k, k->numbers.s0, n_s, moves + n_psi);
-  find_moves(k, k->numbers.context, n_context, moves + n_psi + n_s);
-  for (i = 0; !by->s0 && i < n_s; ++i) moves[n_psi + i] = 0;
-  for (i = 0; i < n_psi + n_s + n_context; ++i) {
-    const real slope = i < n_psi ? by->psi[i] : i >= n_psi + n_s ? by->context[i - n_psi - n_s] : by->s0 ? by->s0[i - n_psi] : 0;
-    expected += slope * moves[i];
-    total += kpirl_mpc_abs(slope * moves[i]);
-  }
-  sides[0] = weighted_conditions(k, core, weights, moves, -DIFFERENCE, &ignored, work);
-  sides[1] = weighted_conditions(k, core, weights, moves, 0, &sizes, work);
-  sides[2] = weighted_conditions(k, core, weights, moves, DIFFERENCE, &ignored, work);
-  sides[0] = (sides[1] - sides[0]) / DIFFERENCE;
-  sides[2] = (sides[2] - sides[1]) / DIFFERENCE;
-  noise = ROUNDING * sizes / DIFFERENCE;
-  whole = kpirl_mpc_worse(kpirl_mpc_worse(total, noise), kpirl_mpc_worse(kpirl_mpc_abs(sides[0]), kpirl_mpc_abs(sides[2])));
-  off = kpirl_mpc_worse(kpirl_mpc_abs(sides[0] - expected), kpirl_mpc_abs(sides[2] - expected));
-  if (weighted_slopes(k, function, weights, by, moves, slopes, work)) return (real)INFINITY;
-  return kpirl_mpc_worse(whole > 0 ? off / whole : 0, kpirl_mpc_jump(slopes, n_psi + n_context, whole));
+/* First from the values that came with second derivatives; where these round in another way than the neighbours', from new ones. */
+real kpirl_mpc_kink_along(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *direction) {
+  real *here = k->work, *work = here + kpirl_mpc_n_conditions(&k->system), error;
+  if (largest_share(&k->system, direction) == 0) return 0;
+  error = kink_from(k, core, direction, kpirl_mpc_known_conditions(k, here), here, work);
+  if (error <= ENOUGH) return error;
+  return kink_from(k, core, direction, kpirl_mpc_conditions(k, core, &k->numbers, k->point.x, here), here, work);
 }

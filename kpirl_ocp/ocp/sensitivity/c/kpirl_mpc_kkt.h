@@ -58,7 +58,7 @@ typedef struct kpirl_mpc_kkt {
   kpirl_mpc_triple point;   /* x, costates and multipliers of the rows; start is not used */
   kpirl_mpc_triple adjoint; /* of a function */
   kpirl_mpc_triple move;    /* the Newton step */
-  real barrier;
+  real barrier, objective;
   real *gradient, *defects; /* of the Lagrangian without bounds (n_w); f - s_next */
   real *slack;              /* (m) of inequalities; of equalities minus their value */
   real *pushing;            /* (m) multipliers of active rows; tau / slack of smoothed ones; zero */
@@ -71,7 +71,7 @@ typedef struct kpirl_mpc_kkt {
   real lowest, qualification; /* that eigenvalue; the smallest singular value of the active rows */
   real step, margin;          /* kpirl_mpc_kkt_step, kpirl_mpc_kkt_reach */
   real distance;              /* kpirl_mpc_kkt_polish */
-  int factored, immovable, conditioned, stepped, reached; /* what is known; immovable: does no decision move some active row? */
+  int evaluated, factored, immovable, conditioned, stepped, reached; /* what is known; immovable: does no decision move some active row? */
 } kpirl_mpc_kkt;
 
 /* A solution as arrays that are by rows, one row per stage: S (T+1, n_s), U (T, n_u), and the multipliers of the dynamics (T, n_s), of
@@ -141,6 +141,13 @@ void kpirl_mpc_kkt_reach(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby);
 /* Relative change of the adjoint (r, 0, 0) -> point when the system becomes one nearby; point becomes the adjoint there. */
 real kpirl_mpc_kkt_change(const kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, const real *r, kpirl_mpc_triple *point);
 
+/* Gradient of the Lagrangian, defects, path constraints and equalities at x, with the forces of kkt->point; NaN where a function
+ * failed; and the same at kkt->point, from what is known there. They return the Lagrangian. */
+int kpirl_mpc_n_conditions(const kpirl_mpc_system *system);
+real kpirl_mpc_conditions(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const real *x,
+                          real *values);
+real kpirl_mpc_known_conditions(const kpirl_mpc_kkt *kkt, real *values);
+
 /* Relative disagreement of the conditions, differenced to either side along x (n_w), with their derivatives. */
 real kpirl_mpc_kink_along(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const real *direction);
 
@@ -178,9 +185,5 @@ void kpirl_mpc_point_sizes(const kpirl_mpc_dimensions *dimensions, const kpirl_m
  * direction in which given entries of s_0 stay. work: 8 n_w numbers. */
 real kpirl_mpc_kink_of_loss(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, const kpirl_mpc_loss *loss,
                             const real *data, const real *x, real *value, real *slopes, real *work);
-
-/* The largest relative jump at 0 of `count` functions of a step, from their values at steps 0, +h, -h, +h/10 and -h/10, one after
- * the other; those much smaller than `whole` may be rounding. */
-real kpirl_mpc_jump(const real *values, int count, real whole);
 
 #endif

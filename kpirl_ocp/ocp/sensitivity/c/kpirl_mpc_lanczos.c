@@ -6,10 +6,8 @@
 
 #include <string.h>
 
-enum { MOST = KPIRL_MPC_PRODUCTS, SWEEPS = 8, STARTS = 4 };
+enum { MOST = KPIRL_MPC_PRODUCTS, FEW = 3, SWEEPS = 8, STARTS = 4 };
 static const real DIGITS = (real)0.1;  /* relative distance from some eigenvalue at which to stop */
-
-static real length_of(const real *v, int n) { return kpirl_mpc_root(kpirl_mpc_dot(v, v, n)); }
 
 /* A rotation that turns A[p][q] to zero, A -> J' A J, V -> V J. */
 static void rotate(int n, real A[MOST][MOST], real V[MOST][MOST], int p, int q) {
@@ -46,38 +44,52 @@ static void diagonalise(int n, real A[MOST][MOST], real V[MOST][MOST]) {
 
 static real rank(real value, int which) { return which == KPIRL_MPC_LARGEST ? kpirl_mpc_abs(value) : which * value; }
 
+/* The outermost Ritz value of the first `count` products, the Ritz vector's coordinates, and its distance from an eigenvalue. */
+static real ritz(int count, real A[MOST][MOST], real after, int which, real *coordinates, real *error) {
+  real own[MOST][MOST], V[MOST][MOST];
+  int best = 0, k;
+  memcpy(own, A, sizeof own);
+  diagonalise(count, own, V);
+  for (k = 1; k < count; ++k)
+    if (rank(own[k][k], which) > rank(own[best][best], which)) best = k;
+  for (k = 0; k < count; ++k) coordinates[k] = V[k][best];
+  *error = after * kpirl_mpc_abs(V[count - 1][best]);
+  for (k = 0; k < count; ++k)
+    if (isnan(own[k][k])) return own[k][k];
+  return own[best][best];
+}
+
+static int known(real value, real error, int which) {
+  return !isfinite(value) || (value * which > 0 && error <= DIGITS * kpirl_mpc_abs(value));
+}
+
 real kpirl_mpc_lanczos(kpirl_mpc_operator *product, const void *self, int n, int products, int which, real *vector,
                        real *basis, real *error) {
-  real A[MOST][MOST], V[MOST][MOST] = {{0}}, largest = 0, after = 0, length = length_of(vector, n);
+  real A[MOST][MOST] = {{0}}, coordinates[MOST], largest = 0, value = 0, length = kpirl_mpc_length(vector, n);
   real *next = basis + (size_t)MOST * n;
-  int i, j, k, best = 0, count = products < n ? products : n;
-  memset(A, 0, sizeof A);
+  const int count = products < n ? products : n;
+  int i, j, k;
   for (i = 0; i < n; ++i) basis[i] = vector[i] / length;
   for (k = 0; k < count; ++k) {
     const real *v = basis + (size_t)k * n;
+    real after;
+    int done;
     product(self, v, next);
     A[k][k] = kpirl_mpc_dot(v, next, n);
     largest = kpirl_mpc_larger(largest, kpirl_mpc_abs(A[k][k]));
     for (i = 0; i < 2; ++i) /* twice, so that no eigenvalue appears as a ghost */
       for (j = 0; j <= k; ++j)
         kpirl_mpc_axpy(-kpirl_mpc_dot(basis + (size_t)j * n, next, n), basis + (size_t)j * n, n, next);
-    after = length_of(next, n);
-    if (k + 1 == count || !(after > (real)1e-12 * largest)) { /* an invariant subspace ends the process */
-      count = k + 1;
-      break;
-    }
+    after = kpirl_mpc_length(next, n);
+    done = k + 1 == count || !(after > (real)1e-12 * largest); /* an invariant subspace ends the process */
+    if (done || k + 1 >= FEW) value = ritz(k + 1, A, after, which, coordinates, error);
+    if (done || (k + 1 >= FEW && known(value, *error, which))) break;
     A[k][k + 1] = A[k + 1][k] = after;
     for (i = 0; i < n; ++i) basis[(size_t)(k + 1) * n + i] = next[i] / after;
   }
-  diagonalise(count, A, V);
-  for (k = 1; k < count; ++k)
-    if (rank(A[k][k], which) > rank(A[best][best], which)) best = k;
-  *error = after * kpirl_mpc_abs(V[count - 1][best]);
   memset(vector, 0, (size_t)n * sizeof(real));
-  for (k = 0; k < count; ++k) kpirl_mpc_axpy(V[k][best], basis + (size_t)k * n, n, vector);
-  for (k = 0; k < count; ++k)
-    if (isnan(A[k][k])) return A[k][k];
-  return A[best][best];
+  for (j = 0; j <= k; ++j) kpirl_mpc_axpy(coordinates[j], basis + (size_t)j * n, n, vector);
+  return value;
 }
 
 real kpirl_mpc_eigenvalue(kpirl_mpc_operator *product, const void *self, int n, int which, real *vector, real *basis) {
@@ -85,7 +97,7 @@ real kpirl_mpc_eigenvalue(kpirl_mpc_operator *product, const void *self, int n, 
   int k;
   for (k = 0; k < STARTS; ++k) {
     value = kpirl_mpc_lanczos(product, self, n, KPIRL_MPC_PRODUCTS, which, vector, basis, &error);
-    if (!isfinite(value) || (value * which > 0 && error <= DIGITS * kpirl_mpc_abs(value))) break;
+    if (known(value, error, which)) break;
   }
   return value;
 }

@@ -14,12 +14,9 @@ real kpirl_mpc_over(real value, real size) { return value / (size > 0 ? size : 1
 
 real kpirl_mpc_worse(real a, real b) { return isnan(a) || isnan(b) ? (real)INFINITY : kpirl_mpc_larger(a, b); }
 
-/* |M| (n, n) of a symmetric matrix by the lower triangle of its first n of `rows` rows. */
-static void absolute_symmetric(const real *M, int rows, int n, real *absolute) {
-  int i, j;
-  for (j = 0; j < n; ++j)
-    for (i = j; i < n; ++i) absolute[i + j * n] = kpirl_mpc_abs(M[i + j * rows]);
-  kpirl_mpc_mirror(absolute, n);
+static void absolute(const real *values, int count, real *result) {
+  int i;
+  for (i = 0; i < count; ++i) result[i] = kpirl_mpc_abs(values[i]);
 }
 
 void kpirl_mpc_system_curvature(const kpirl_mpc_system *s, real *curvature) {
@@ -31,8 +28,8 @@ void kpirl_mpc_system_curvature(const kpirl_mpc_system *s, real *curvature) {
     const real *H = s->H + (size_t)t * n_x * n_x;
     for (i = 0; i < n; ++i) curvature[t * n_x + i] = kpirl_mpc_abs(H[i + i * n]);
     if (t == T) break;
-    absolute_symmetric(H + n_x * n_x, after, n_s, next);
-    for (i = 0; i < n_s * n_x; ++i) F[i] = kpirl_mpc_abs(s->F[(size_t)t * n_s * n_x + i]);
+    for (i = 0; i < n_s; ++i) absolute(H + n_x * n_x + i * after, n_s, next + i * n_s);
+    absolute(s->F + (size_t)t * n_s * n_x, n_s * n_x, F);
     memset(product, 0, (size_t)(n_s * n_x) * sizeof(real));
     kpirl_mpc_times(next, n_s, n_s, F, n_x, product);
     for (i = 0; i < n_x; ++i) curvature[t * n_x + i] += kpirl_mpc_dot(F + i * n_s, product + i * n_s, n_s);
@@ -71,12 +68,11 @@ void kpirl_mpc_row_sizes(const kpirl_mpc_system *s, real *row_sizes) { measure(s
 void kpirl_mpc_force_shares(const kpirl_mpc_system *s, const real *costates, const real *curvature, real *shares) {
   const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions, n_w = kpirl_mpc_system_n_point(s);
   real *balanced = s->scratch, most = 0;
-  int t, i, j;
+  int t, i;
   for (i = 0; i < n_w; ++i) balanced[i] = curvature[i] * s->sizes[i];
   for (t = 0; t < T; ++t)
     for (i = 0; i < n_x; ++i)
-      for (j = 0; j < n_s; ++j)
-        balanced[t * n_x + i] += kpirl_mpc_abs(s->F[(size_t)t * n_s * n_x + i * n_s + j] * costates[t * n_s + j]);
+      balanced[t * n_x + i] += kpirl_mpc_absolute_dot(s->F + (size_t)t * n_s * n_x + i * n_s, costates + t * n_s, n_s);
   for (t = 0; t < T; ++t)
     for (i = 0; i < n_s; ++i) balanced[(t + 1) * n_x + i] += kpirl_mpc_abs(costates[t * n_s + i]);
   for (i = 0; i < n_w; ++i) most = kpirl_mpc_larger(most, balanced[i] * s->sizes[i]);

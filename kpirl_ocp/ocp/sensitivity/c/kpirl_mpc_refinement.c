@@ -18,22 +18,29 @@ void kpirl_mpc_copy_triple(const kpirl_mpc_system *s, const kpirl_mpc_triple *fr
   memcpy(to->forces, from->forces, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
 }
 
-/* residual = right - system point. Entries of s_0 that are given have no equation but their value. */
-static void residual_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, const kpirl_mpc_triple *point,
-                        kpirl_mpc_triple *residual) {
-  const int n_s = s->n_states, m = kpirl_mpc_system_n_rows(s);
+/* Entries of s_0 that are given have no equation but their value, which is `missing` here; rows that are not active have none. */
+static void only_equations(const kpirl_mpc_system *s, const real *missing, const real *x, kpirl_mpc_triple *residual) {
   int i, next = 0;
-  kpirl_mpc_balance_and_rows(s, point, residual->x, residual->forces);
-  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) residual->x[i] = right->x[i] - residual->x[i];
-  for (i = 0; i < m; ++i) residual->forces[i] = s->active[i] != 0 ? right->forces[i] - residual->forces[i] : 0;
-  for (i = 0; i < n_s; ++i) {
+  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i)
+    if (s->active[i] == 0) residual->forces[i] = 0;
+  for (i = 0; i < s->n_states; ++i) {
     const int is_free = next < s->n_free && s->free[next] == i;
     next += is_free;
-    residual->start[i] = is_free ? 0 : right->start[i] - point->x[i];
+    residual->start[i] = is_free ? 0 : missing[i] - x[i];
     if (!is_free) residual->x[i] = 0;
   }
+}
+
+/* residual = right - system point. */
+static void residual_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, const kpirl_mpc_triple *point,
+                        kpirl_mpc_triple *residual) {
+  int i;
+  kpirl_mpc_balance_and_rows(s, point, residual->x, residual->forces);
+  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) residual->x[i] = right->x[i] - residual->x[i];
+  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) residual->forces[i] = right->forces[i] - residual->forces[i];
   kpirl_mpc_defects_times(s, point->x, residual->costates);
-  for (i = 0; i < s->horizon * n_s; ++i) residual->costates[i] = right->costates[i] - residual->costates[i];
+  for (i = 0; i < s->horizon * s->n_states; ++i) residual->costates[i] = right->costates[i] - residual->costates[i];
+  only_equations(s, right->start, point->x, residual);
 }
 
 /* K (dx, dlambda) = (r + C' S c, d),  dmu = S (C dx - c)  with K the factorised matrix: point += step. Returns |dx|. */
@@ -60,41 +67,36 @@ static real correct(const kpirl_mpc_system *s, const kpirl_mpc_triple *residual,
 
 /* |values * sizes| over x */
 static real gradient_norm(const kpirl_mpc_system *s, const real *values) {
-  real sum = 0;
+  real *v = s->scratch;
   int i;
-  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) sum += values[i] * s->sizes[i] * values[i] * s->sizes[i];
-  return kpirl_mpc_root(sum);
+  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) v[i] = values[i] * s->sizes[i];
+  return kpirl_mpc_length(v, kpirl_mpc_system_n_point(s));
 }
 
 static real point_norm(const kpirl_mpc_system *s, const real *x) {
-  real sum = 0;
+  real *v = s->scratch;
   int i;
-  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) sum += x[i] / s->sizes[i] * (x[i] / s->sizes[i]);
-  return kpirl_mpc_root(sum);
+  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) v[i] = x[i] / s->sizes[i];
+  return kpirl_mpc_length(v, kpirl_mpc_system_n_point(s));
 }
 
 /* |values / sizes|, or |values * sizes|, of numbers that belong to s_1 .. s_T */
 static real successor_norm(const kpirl_mpc_system *s, const real *values, int divided) {
   const int n_s = s->n_states, n_x = n_s + s->n_actions;
-  real sum = 0;
+  real *v = s->scratch;
   int t, i;
-  for (t = 0; t < s->horizon; ++t)
-    for (i = 0; i < n_s; ++i) {
-      const real size = s->sizes[(t + 1) * n_x + i], value = values[t * n_s + i];
-      const real v = divided ? value / size : value * size;
-      sum += v * v;
-    }
-  return kpirl_mpc_root(sum);
+  for (t = 0; t < s->horizon; ++t) {
+    const real *sizes = s->sizes + (t + 1) * n_x, *own = values + t * n_s;
+    for (i = 0; i < n_s; ++i) v[t * n_s + i] = divided ? own[i] / sizes[i] : own[i] * sizes[i];
+  }
+  return kpirl_mpc_length(v, s->horizon * n_s);
 }
 
 static real row_norm(const kpirl_mpc_system *s, const real *values) {
-  real sum = 0;
+  real *v = s->scratch;
   int i;
-  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) {
-    const real v = s->active[i] * values[i] / s->lengths[i];
-    sum += v * v;
-  }
-  return kpirl_mpc_root(sum);
+  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) v[i] = s->active[i] * values[i] / s->lengths[i];
+  return kpirl_mpc_length(v, kpirl_mpc_system_n_rows(s));
 }
 
 /* The least that an x without rows can be: |reduced r| over the largest |eigenvalue| of the reduced Hessian. */
@@ -137,18 +139,20 @@ real kpirl_mpc_system_solve(const kpirl_mpc_system *s, const kpirl_mpc_triple *r
   work = kpirl_mpc_place_triple(s, work, &at);
   work = kpirl_mpc_place_triple(s, work, &residual);
   memset(at.x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
-  kpirl_mpc_copy_triple(s, &at, point);
-  for (k = 0; k <= most; ++k) {
+  kpirl_mpc_copy_triple(s, right, &residual); /* of a point that is zero */
+  only_equations(s, right->start, at.x, &residual);
+  correct(s, &residual, &at, work);
+  for (k = 1; k <= most; ++k) {
+    real error;
+    int stalled;
     residual_of(s, right, &at, &residual);
-    if (k > 0) {
-      const real error = error_of(s, right, &at, &residual, least);
-      const int stalled = !(error < best / (error > CLOSE ? 10 : 1000));
-      if (error < best || k == 1) {
-        best = error;
-        kpirl_mpc_copy_triple(s, &at, point);
-      }
-      if (stalled || error <= enough) break;
+    error = error_of(s, right, &at, &residual, least);
+    stalled = !(error < best / (error > CLOSE ? 10 : 1000));
+    if (error < best || k == 1) {
+      best = error;
+      kpirl_mpc_copy_triple(s, &at, point);
     }
+    if (stalled || error <= enough) break;
     if (k < most) correct(s, &residual, &at, work);
   }
   return best;

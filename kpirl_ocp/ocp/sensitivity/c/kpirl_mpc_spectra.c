@@ -99,9 +99,9 @@ static void reduced_hessian(const void *self, const real *v, real *product) {
   for (i = 0; i < s->n_decisions; ++i) x[s->decisions[i]] = v[i] / s->roots[i];
   for (t = 0; t < T; ++t)
     kpirl_mpc_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, x + t * n_x, x + (t + 1) * n_x);
-  kpirl_mpc_symmetric_times_vector(s->H + (size_t)T * n_x * n_x, n_s, x + T * n_x, y + T * n_x);
+  kpirl_mpc_times_vector(s->H + (size_t)T * n_x * n_x, n_s, n_s, x + T * n_x, y + T * n_x);
   for (t = T - 1; t >= 0; --t) {
-    kpirl_mpc_symmetric_times_vector(s->H + (size_t)t * n_x * n_x, n_x, x + t * n_x, y + t * n_x);
+    kpirl_mpc_times_vector(s->H + (size_t)t * n_x * n_x, n_x, n_x, x + t * n_x, y + t * n_x);
     kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, y + (t + 1) * n_x, y + t * n_x);
   }
   for (i = 0; i < s->n_decisions; ++i) product[i] = y[s->decisions[i]] / s->roots[i];

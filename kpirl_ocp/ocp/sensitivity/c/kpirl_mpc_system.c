@@ -77,11 +77,11 @@ void kpirl_mpc_lagrangian_times(const kpirl_mpc_system *s, const real *x, const 
   int t, i;
   memset(product, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
   for (t = 0; t < T; ++t) {
-    kpirl_mpc_symmetric_times_vector(s->H + (size_t)t * n_x * n_x, n_x, x + t * n_x, product + t * n_x);
+    kpirl_mpc_times_vector(s->H + (size_t)t * n_x * n_x, n_x, n_x, x + t * n_x, product + t * n_x);
     kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, costates + t * n_s, product + t * n_x);
     for (i = 0; i < n_s; ++i) product[(t + 1) * n_x + i] -= costates[t * n_s + i];
   }
-  kpirl_mpc_symmetric_times_vector(s->H + (size_t)T * n_x * n_x, n_s, x + T * n_x, product + T * n_x);
+  kpirl_mpc_times_vector(s->H + (size_t)T * n_x * n_x, n_s, n_s, x + T * n_x, product + T * n_x);
 }
 
 void kpirl_mpc_defects_times(const kpirl_mpc_system *s, const real *x, real *defects) {

@@ -28,7 +28,7 @@ typedef struct kpirl_mpc_system {
   const real *signs;    /* (n_bounds) */
   const real *F;        /* (n_s, n_x) of every stage */
   const real *G, *E;    /* transposed: (n_x, n_h) and (n_x, n_e), of s_T behind them */
-  const real *H;        /* (n_x, n_x), of s_T (n_s, n_s) behind; the lower triangle */
+  const real *H;        /* (n_x, n_x), of s_T (n_s, n_s) behind; symmetric */
   real *sigma;          /* (m) */
   real *active;         /* (m) 0 or 1 */
   real *sizes;          /* (n_w) of the entries of x */

@@ -114,7 +114,53 @@ void kpirl_mpc_times_lower(const real *x, int rows, int inner, const real *y, re
 #undef PANELS
 }
 
+/* Some columns times x, of which `last` is the end, with zeros where it overlaps the first `whole` entries. */
+INLINE void dots(const int columns, const real *a, int rows, const real *x, const vector last, int whole, real *y) {
+  vector sum[4];
+  int c, i, k;
+  UNROLL for (c = 0; c < columns; ++c) sum[c] = *(const vector *)(a + (c + 1) * rows - LANES) * last;
+  for (i = 0; i < whole; i += LANES) {
+    const vector part = *(const vector *)(x + i);
+    UNROLL for (c = 0; c < columns; ++c) sum[c] += *(const vector *)(a + c * rows + i) * part;
+  }
+  UNROLL for (c = 0; c < columns; ++c) {
+    real parts[LANES];
+    *(vector *)parts = sum[c];
+    UNROLL for (k = LANES / 2; k > 0; k /= 2) UNROLL for (i = 0; i < k; ++i) parts[i] += parts[i + k];
+    y[c] += parts[0];
+  }
+}
+
+/* Fewer rows than a vector has. */
+static void short_dots(const real *a, int rows, int columns, const real *x, real *y) {
+  int i, j;
+  for (j = 0; j < columns; ++j) {
+    real sum = 0;
+    for (i = 0; i < rows; ++i) sum += a[i + j * rows] * x[i];
+    y[j] += sum;
+  }
+}
+
+void kpirl_mpc_transposed_times_vector(const real *a, int rows, int columns, const real *x, real *y) {
+  const int whole = rows > 0 ? (rows - 1) / LANES * LANES : 0;
+  vector last;
+  int i, j = 0;
+  if (rows < LANES) {
+    short_dots(a, rows, columns, x, y);
+    return;
+  }
+  for (i = 0; i < LANES; ++i) last[i] = rows - LANES + i < whole ? 0 : x[rows - LANES + i];
+  for (; j + 4 <= columns; j += 4) dots(4, a + j * rows, rows, x, last, whole, y + j);
+  for (; j < columns; ++j) dots(1, a + j * rows, rows, x, last, whole, y + j);
+}
+
 #else /* no vectors */
+
+void kpirl_mpc_transposed_times_vector(const real *restrict a, int rows, int columns, const real *restrict x,
+                                       real *restrict y) {
+  int j;
+  for (j = 0; j < columns; ++j) y[j] += kpirl_mpc_dot(a + j * rows, x, rows);
+}
 
 void kpirl_mpc_times(const real *restrict x, int rows, int inner, const real *restrict y, int columns, real *restrict z) {
   int i, j, k;
@@ -134,12 +180,6 @@ void kpirl_mpc_times_lower(const real *restrict x, int rows, int inner, const re
 
 void kpirl_mpc_times_vector(const real *a, int rows, int columns, const real *x, real *y) {
   kpirl_mpc_times(a, rows, columns, x, 1, y);
-}
-
-void kpirl_mpc_transposed_times_vector(const real *restrict a, int rows, int columns, const real *restrict x,
-                                       real *restrict y) {
-  int j;
-  for (j = 0; j < columns; ++j) y[j] += kpirl_mpc_dot(a + j * rows, x, rows);
 }
 
 void kpirl_mpc_symmetric_times_vector(const real *restrict a, int n, const real *restrict x, real *restrict y) {

@@ -53,6 +53,18 @@ real kpirl_mpc_dot(const real *a, const real *b, int count) {
   return sum;
 }
 
+real kpirl_mpc_absolute_dot(const real *a, const real *b, int count) {
+  real part[LANES] = {0}, sum = 0;
+  int i = 0, k;
+  for (; i + LANES <= count; i += LANES)
+    for (k = 0; k < LANES; ++k) part[k] += kpirl_mpc_abs(a[i + k] * b[i + k]);
+  for (; i < count; ++i) sum += kpirl_mpc_abs(a[i] * b[i]);
+  for (k = 0; k < LANES; ++k) sum += part[k];
+  return sum;
+}
+
+real kpirl_mpc_length(const real *values, int count) { return kpirl_mpc_root(kpirl_mpc_dot(values, values, count)); }
+
 void kpirl_mpc_axpy(real factor, const real *restrict x, int count, real *restrict y) {
   int i;
   for (i = 0; i < count; ++i) y[i] += factor * x[i];

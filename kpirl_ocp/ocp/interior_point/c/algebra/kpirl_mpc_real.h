@@ -34,6 +34,8 @@ int kpirl_mpc_all_finite(const real *values, int count);
 real kpirl_mpc_largest(const real *values, int count); /* of the absolute values; 0 for none */
 real kpirl_mpc_absolute_sum(const real *values, int count);
 real kpirl_mpc_dot(const real *a, const real *b, int count);
+real kpirl_mpc_absolute_dot(const real *a, const real *b, int count); /* of absolute values */
+real kpirl_mpc_length(const real *values, int count);                 /* Euclidean */
 void kpirl_mpc_axpy(real factor, const real *x, int count, real *y); /* y += factor x */
 real kpirl_mpc_log_sum(const real *values, int count);               /* of logarithms */
 
