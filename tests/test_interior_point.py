@@ -1,12 +1,16 @@
 """The interior-point method where it once went wrong: barriers, saddle points, rounding, infeasible sets, units."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import OCP, Riccati, Status
+from kpirl_ocp import OCP, Riccati, Status, Trajectory
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
 
 def integrator(horizon, n=1, step=0.1, **fields):
@@ -137,6 +141,19 @@ def test_lifted_steps_converge_from_states_that_do_not_follow_the_dynamics():
     found = Riccati().solve(problem, [0.0, 0.0], guess=wild)
     assert found.status is Status.CONVERGED
     assert found.objective == pytest.approx(cold.objective, rel=1e-6)
+
+
+def test_a_quadrotor_is_solved_from_states_that_follow_nothing():
+    """Lifted steps close such gaps at any cost: costates grow with the regularisation, and it with them, for 200 iterations."""
+    from bench.control_problems import quadrotor
+
+    case, rng = quadrotor(), np.random.default_rng(0)
+    best = Riccati().solve(case.problem, case.s0)
+    for _ in range(8):
+        states = np.linspace(case.s0, 0 * case.s0, 41) + 0.2 * rng.normal(size=(41, 12))
+        found = Riccati().solve(case.problem, case.s0, guess=Trajectory(states, 0.1 * rng.normal(size=(40, 4))))
+        assert found.status is Status.CONVERGED and found.iterations <= 60, found
+        assert found.objective == pytest.approx(best.objective, rel=1e-8)
 
 
 @pytest.mark.parametrize("change", [(0, 1e-4), (0, -1e-4), (2e-4, 0), (0, 2e-4)])
