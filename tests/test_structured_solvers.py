@@ -269,6 +269,7 @@ def test_solutions_share_no_memory():
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="a system without fork")
+@pytest.mark.filterwarnings("ignore:.*fork:RuntimeWarning", "ignore:.*fork:DeprecationWarning")  # JAX, of other tests
 def test_a_forked_process_solves_and_differentiates_with_the_numbers_of_its_parent():
     problem, *arguments = given("integrator")
     expected = Riccati().solve(problem, *arguments)

@@ -323,3 +323,31 @@ def test_the_published_imitation_task_is_solved(tmp_path):
     errors = [float(error) for error in re.findall(r"error of the weights ([\d.e+-]+)", ran.stdout)]
     assert len(errors) == 2
     assert max(errors) < 1e-3
+
+
+class Plans(torch.utils.data.Dataset):
+    """First actions from shifted starts, solved in the workers of a loader."""
+
+    def __init__(self, problem, *numbers):
+        self.problem, self.numbers = problem, numbers
+
+    def __len__(self):
+        return 3
+
+    def __getitem__(self, index):
+        s0, *rest = self.numbers
+        return Riccati().solve(self.problem, s0 + 0.01 * index, *rest).actions[0]
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:RuntimeWarning", "ignore:.*fork:DeprecationWarning")  # JAX, of other tests
+@pytest.mark.parametrize("context", ["fork", "spawn"])
+def test_workers_of_a_data_loader_solve_as_their_parent_does(context):
+    case = CASES["pendulum"]()
+    plans = Plans(case.problem, np.asarray(case.demonstration.s0), case.psi, case.demonstration.context)
+    loaded = torch.utils.data.DataLoader(plans, batch_size=None, num_workers=1, multiprocessing_context=context)
+    np.testing.assert_array_equal(list(map(np.asarray, loaded)), [plans[index] for index in range(3)])
+
+
+def test_jax_is_not_imported_with_the_layer():
+    code = "import sys; from kpirl_ocp.bridges import OCPLayer; print('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "False\n"
