@@ -33,7 +33,7 @@ def draw(measurements: list[Measurement], learning: dict[str, LearningResult], r
     """`resolution`: the relative error to which the reference is known; smaller errors are drawn there."""
     figure, axes = figures.new_figure(2, 2, width=5.0, height=3.6)
     colours = dict(zip(dict.fromkeys(m.method for m in measurements), figures.COLOURS, strict=False))
-    quantities = [("error", 1, "relative error"), ("seconds", 1e3, "time per gradient [ms]")]
+    quantities = [("error", 1, "relative error"), ("seconds", 1e3, "CPU time per gradient [ms]")]
     quantities += [("memory", 2**-20, "peak memory, building included [MB]")]
     for axis, (field, factor, label) in zip(axes, quantities, strict=False):
         for name, colour in colours.items():
@@ -49,7 +49,7 @@ def draw(measurements: list[Measurement], learning: dict[str, LearningResult], r
         same = [other for other in learning if other.split(",")[0] == name.split(",")[0]]  # a method has one colour
         shade = np.linspace(0.35, 1.0, len(same))[same.index(name)] if len(same) > 1 else 1.0
         axes[3].plot(result.seconds[1:], result.losses[1:], color=colours[name.split(",")[0]], alpha=shade, label=name)
-    axes[3].set(xscale="log", yscale="log", xlabel="wall time [s]", ylabel="IRL loss, with its own inner loop")
+    axes[3].set(xscale="log", yscale="log", xlabel="CPU time [s]", ylabel="IRL loss, with its own inner loop")
     axes[3].legend(fontsize=7)
     for axis in axes:
         axis.grid(alpha=0.3, which="both")
@@ -71,13 +71,13 @@ def main(args: Namespace) -> None:
         for measurement in tqdm(measure_all(source, args.steps, exact), "measuring", total, unit="method"):
             measurements.append(measurement)
             results["measurements"] = [asdict(m) for m in measurements]
-        header = ["method", "N", "relative error", "time [ms]", "memory [MB]", "certificate"]
+        header = ["method", "N", "relative error", "CPU time [ms]", "memory [MB]", "certificate"]
         print("\n" + table(header, [as_row(m, agreement) for m in measurements]) + "\n")
 
         some = [n for n in args.steps if n in (min(args.steps), max(args.steps), args.steps[len(args.steps) // 2])]
         learning = learn_with_each(case, some, args.iterations, args.learning_rate)
     rows = [[name, r.losses[0], r.loss, f"{r.seconds[-1]:.2f}"] for name, r in learning.items()]
-    print(table(["learning with", "first IRL loss", "best IRL loss", "time [s]"], rows))
+    print(table(["learning with", "first IRL loss", "best IRL loss", "CPU time [s]"], rows))
     results["learning"] = {name: {"losses": r.losses, "seconds": r.seconds} for name, r in learning.items()}
     print(f"\nnumbers: {write_metrics(args.out, vars(args), results)}")
     print(f"figure:  {draw(measurements, learning, agreement, args.out / 'hypergradients.png')}")

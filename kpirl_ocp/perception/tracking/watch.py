@@ -70,7 +70,7 @@ class Film:
                 f"{self.path} has {count} frame{'s' * (count != 1)} from {self.start:g} s to {self._ends}: that shows "
                 f"no motion. A demonstration takes a second or more, at ten frames a second or more."
             )
-        frames = tqdm(self.frames(), f"look for motion of the camera in {self.path.name}", unit="frame")
+        frames = tqdm(self.frames(), f"look for motion of the camera in {self.name}", unit="frame")
         found = camera_motion((self.start + time, image) for time, image in frames)
         return replace(self, camera=found)
 
