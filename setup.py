@@ -5,12 +5,14 @@ All else is in pyproject.toml.
 
 import platform
 import re
+import shutil
 from glob import glob
 from pathlib import Path
 
 from setuptools import Extension, setup
 from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
+from setuptools.errors import CompileError
 
 # No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order.
 FLAGS = ["-std=c99", "-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast"]
@@ -38,6 +40,14 @@ LIBRARIES = [
 
 class BuildLibraries(build_ext):
     """Shared libraries under one name for every Python: they hold plain C, no Python module."""
+
+    def build_extensions(self) -> None:
+        """Compile. Raises CompileError, which becomes the last line, if there is no compiler."""
+        compiler = self.compiler.compiler_so[0]
+        if shutil.which(compiler) is None:
+            remedy = "install one (on Debian and Ubuntu: apt install build-essential), or install from a wheel"
+            raise CompileError(f"kpirl_ocp is built with a C compiler, and there is no {compiler!r}: {remedy}.")
+        super().build_extensions()
 
     def get_ext_filename(self, fullname: str) -> str:
         """Path of a library below the package's root."""

@@ -1,5 +1,6 @@
 """What is said about the package is true, and its tests need no more than it does."""
 
+import os
 import re
 import subprocess
 import sys
@@ -60,3 +61,17 @@ def test_extras_that_messages_name_exist_and_every_requirement_has_a_tested_vers
     names = {re.match(r"[\w-]+", name).group() for name in wanted} - {"kpirl-ocp"}
     plain = [{name.lower().replace("_", "-") for name in group} for group in (names, pinned)]
     assert plain[0] - plain[1] == set()
+
+
+def test_a_missing_compiler_is_named_with_what_to_do(tmp_path):
+    pytest.importorskip("setuptools", minversion="77")
+    places = ["--build-lib", str(tmp_path), "--build-temp", str(tmp_path)]
+    command = [sys.executable, "setup.py", "-q", "build_ext", *places]
+    build = subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=ROOT, env=os.environ | {"CC": "no-such-compiler"}
+    )
+    assert build.returncode == 1
+    assert build.stderr.splitlines()[-1] == (
+        "error: kpirl_ocp is built with a C compiler, and there is no 'no-such-compiler': install one "
+        "(on Debian and Ubuntu: apt install build-essential), or install from a wheel."
+    )
