@@ -132,6 +132,8 @@ WHOLE = "expected a whole number of at least"
 MOST = "expected a whole number of at most"
 NINES = "9" * 5000  # more digits than Python reads
 WRONG = {  # words, beginning of the sentence
+    "--verson": "there is no command '--verson': did you mean '--version'? (see `kpirl --help`)",
+    "Solve": "there is no command 'Solve': did you mean 'solve'? (see `kpirl --help`)",
     "solv": "there is no command 'solv': did you mean 'solve'? (see `kpirl --help`)",
     "solve --steps -5": f"--steps: {WHOLE} 1, got '-5'.",
     "solve --steps 1.5": f"--steps: {WHOLE} 1, got '1.5'.",
@@ -191,6 +193,7 @@ WRONG = {  # words, beginning of the sentence
     "learn --optimiser sgd": "--optimiser: expected one of adam, descent, lbfgs, got 'sgd'.",
     "evaluate": "the following arguments are required: --demonstrations.",
     "evaluate --demonstrations . --cost nowhere": "--cost: there is no file 'nowhere'.",
+    "evaluate --demonstrations . --cost empty.json": "empty.json is not a learned cost: it has no 'effort'.",
     "evaluate --demonstrations . --cost own.py": "own.py is not a learned cost",
     "compare --problem lrq": "--problem: expected one of iiwa, integrator, lqr, pendulum, got 'lrq': "
     "did you mean 'lqr'?",
@@ -207,6 +210,7 @@ WRONG = {  # words, beginning of the sentence
     "export own.py:pendulum --cost own.py": "--cost is for a learned cost, and FILE.py:FUNCTION your own problem",
     "export own.py:pendulum --horizon 3": "--horizon is for the placing model; another problem has a horizon",
     "demo --cost TimDep": "--cost: expected one of TimeDep, Weighted, RBF, got 'TimDep': did you mean 'TimeDep'?",
+    "demo --cost rbf": "--cost: expected one of TimeDep, Weighted, RBF, got 'rbf': did you mean 'RBF'?",
     "demo --iterations 0": f"--iterations: {WHOLE} 1, got '0'.",
     "collect": "the following arguments are required: MOTION.",
     "collect keypoint": "MOTION: expected one of keypoints, sines, placing, reaching, hand-placing, hand-wandering, "
@@ -232,6 +236,7 @@ WRONG = {  # words, beginning of the sentence
 def test_wrong_input_is_one_sentence(words, own, monkeypatch, capsys):
     monkeypatch.chdir(own.parent)
     (own.parent / "empty").mkdir()
+    (own.parent / "empty.json").write_text("{}")
     (own.parent / "unfinished.py").write_text("f(\n")
     assert refusal(words.split(), capsys).startswith(WRONG[words])
 

@@ -148,7 +148,9 @@ class LearnedCost:
             )
         except FileNotFoundError:
             raise FileError(f"{path} does not exist: learn a cost with `kpirl learn`.") from None
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
+        except KeyError as error:
+            raise FileError(f"{path} is not a learned cost: it has no {error}.") from error
+        except (AttributeError, TypeError, ValueError) as error:
             raise FileError(f"{path} is not a learned cost: {error!r}.") from error
 
 

@@ -40,7 +40,7 @@ def iterate_frames(
     """
     path = Path(path)
     if path.is_dir() and source_rate is None:
-        raise FileError(f"{path} is a folder of images: say its frame rate with source_rate.")
+        raise FileError(f"{path} is a folder of images: say its frame rate with source_rate (--source-rate).")
     if not path.is_dir() and source_rate is not None:
         raise FileError(f"{path} is no folder of images; source_rate is for those, a video has times of its own.")
     frames = decode(path, end) if source_rate is None else _paced(iterate_pictures(path), source_rate)
