@@ -93,9 +93,8 @@ def _dispatch(words: list[str]) -> int:
         return 0
     command = words[0]
     if command not in COMMANDS:
-        raise OptionError(
-            f"there is no command {command!r}{suggestion(command, (*COMMANDS, '--version', '--help'))} (see `kpirl --help`)"
-        )
+        near = suggestion(command, (*COMMANDS, "--version", "--help"))
+        raise OptionError(f"there is no command {command!r}{near} (see `kpirl --help`)")
     options = options_of(command)
     parser = build_parser(f"kpirl {command}", inspect.getdoc(options) or "", options.add_options)
     return _read_and_work(parser, words[1:], _module_name("commands", command))
