@@ -19,8 +19,11 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 SEED := 0
+HELD_OUT := 24
 MODELS := out/models
 COLLECT = $(BIN)/python scripts/collect_data.py
+KEYPOINTS = $(BIN)/python scripts/train_keypoints.py --preset full
+ROBUST = $(BIN)/kpirl train-robust
 IN_HAND = hand-placing hand-placing-1 hand-placing-2
 DYNAMICS = $(BIN)/python scripts/train_dynamics.py --seed $(SEED) --detector $(MODELS)/detector/detector.json
 
@@ -53,16 +56,16 @@ models: .venv/installed-perception
 	for motion in keypoints sines placing hand-wandering; do \
 		$(COLLECT) $$motion --seed $(SEED)0 --out $(MODELS)/data/$$motion || exit; done
 	for motion in keypoints sines placing hand-placing; do \
-		$(COLLECT) $$motion --seed $(SEED)2 --episodes 24 --out $(MODELS)/test/$$motion || exit; done
+		$(COLLECT) $$motion --seed $(SEED)2 --episodes $(HELD_OUT) --out $(MODELS)/test/$$motion || exit; done
 	$(COLLECT) sines --rate 1 --steps 10 --seed $(SEED)0 --out $(MODELS)/data/slow-sines
-	$(COLLECT) sines --rate 1 --steps 10 --seed $(SEED)2 --episodes 24 --out $(MODELS)/test/slow-sines
+	$(COLLECT) sines --rate 1 --steps 10 --seed $(SEED)2 --episodes $(HELD_OUT) --out $(MODELS)/test/slow-sines
 	for level in 1 2; do \
-		$(COLLECT) hand-placing --surroundings $$level --seed $(SEED)2 --episodes 24 \
+		$(COLLECT) hand-placing --surroundings $$level --seed $(SEED)2 --episodes $(HELD_OUT) \
 			--out $(MODELS)/test/hand-placing-$$level || exit; done
-	$(BIN)/python scripts/train_keypoints.py --preset full --threads 1 --seed $(SEED) --out $(MODELS)/teacher \
+	$(KEYPOINTS) --threads 1 --seed $(SEED) --out $(MODELS)/teacher \
 		--data $(MODELS)/data/keypoints --videos $(MODELS)/data/hand-wandering \
 		--test $(addprefix $(MODELS)/test/,keypoints sines placing hand-placing)
-	$(BIN)/kpirl train-robust --teacher $(MODELS)/teacher/detector.json --threads 1 --seed $(SEED) \
+	$(ROBUST) --teacher $(MODELS)/teacher/detector.json --threads 1 --seed $(SEED) \
 		--out $(MODELS)/detector --test $(addprefix $(MODELS)/test/,keypoints sines placing $(IN_HAND))
 	for activation in relu tanh; do \
 		$(DYNAMICS) --activation $$activation --out $(MODELS)/reaching-$$activation \

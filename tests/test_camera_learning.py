@@ -13,6 +13,7 @@ pytest.importorskip("pybullet")
 pytest.importorskip("torch")
 from films import film, pose, shaken
 
+from kpirl_ocp.assets import iiwa_urdf
 from kpirl_ocp.cli.imitation.arm import Scale, arm_for, other_starts
 from kpirl_ocp.cli.imitation.execution import execute
 from kpirl_ocp.cli.main import run
@@ -296,3 +297,27 @@ def test_the_film_of_a_shaking_phone_leads_to_a_robot_as_one_from_a_fixed_place_
     tracks = read_tracks(tmp_path / "tracks.npz")
     way = tracks.centre[-1] - tracks.centre[0]
     np.testing.assert_allclose(way, [100, -30], atol=2)
+
+
+def test_the_command_learns_plans_executes_and_exports_for_an_arm_from_a_urdf(tmp_path, moving_film, capsys):
+    urdf = str(iiwa_urdf())  # as a file of one's own: another posture and camera than those of `--robot iiwa`
+    words = ["learn-video", str(moving_film), "--robot", urdf, "--scale", "0.3", "--steps", "5", "--starts", "1"]
+    watched = ["--box", "54,74,106,126", "--out", str(tmp_path / "mine")]
+    assert run([*words, *watched, "--export"]) == 0, capsys.readouterr()
+    learned = LearnedCost.read(tmp_path / "mine" / "cost.json")
+    assert learned.setting.robot == urdf
+    assert learned.setting.build().n_joints == 7
+    assert learned.setting.camera is not None
+    assert (tmp_path / "mine" / "c" / "CMakeLists.txt").exists()
+    cost = ["--tracks", str(tmp_path / "mine" / "tracks.npz"), "--cost", str(tmp_path / "mine" / "cost.json")]
+    assert run([*words, *cost, "--out", str(tmp_path / "again")]) == 0, capsys.readouterr()
+    other = ["learn-video", str(moving_film), "--scale", "0.3", "--steps", "5", *cost, "--out", str(tmp_path / "iiwa")]
+    assert run(other) == 2
+    assert f"is for the robot '{urdf}', not 'iiwa'" in capsys.readouterr().err
+
+
+def test_an_arm_that_does_not_exist_is_named(tmp_path, moving_film, capsys):
+    words = ["learn-video", str(moving_film), "--box", "54,74,106,126", "--scale", "0.4", "--out", str(tmp_path)]
+    for name in ("no_such_arm", "missing.urdf"):
+        assert run([*words, "--robot", name]) == 2
+        assert name in capsys.readouterr().err
