@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("av")
 pytest.importorskip("cv2")
-from films import HEIGHT, WALL, WIDTH, film, pose
+from films import HEIGHT, WALL, WIDTH, film, paste, pose, texture
 
 from kpirl_ocp.errors import DemonstrationError, FileError
 from kpirl_ocp.perception.data.video import iterate_frames
@@ -65,6 +65,21 @@ def test_an_object_that_vanishes_behind_another_is_unsure_and_found_again():
     assert tracks.confidence[23:33].max() == 0
     assert tracks.confidence[-5:].min() > 0.5
     assert errors(tracks, truth)[-1].max() < 3
+
+
+def test_a_twin_that_rests_is_not_taken_for_an_object_that_is_hidden():
+    image, picture = WALL, texture(1, 50, 50)
+    frames = []
+    for index in range(60):
+        image = paste(paste(WALL, picture, pose(220, 90)), picture, pose(min(60 + 3 * index, 120), 90))
+        frames.append((index / 30, paste(image, texture(2, 60, 60), pose(120, 90, size=60)) if index > 25 else image))
+    truth = transform(pose(60, 90), CORNERS)
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask[57:123, 27:93] = True
+    tracks = of_object(track(frames, mask), truth, SIZE)
+    assert tracks.confidence[:20].min() > 0.5
+    assert tracks.confidence[28:].max() == 0
+    assert tracks.centre[-1] == pytest.approx([120, 90], abs=3)
 
 
 def test_motion_blur_is_seen_through():

@@ -18,7 +18,7 @@ from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.tracking.appearance import Greys, Views
 from kpirl_ocp.perception.tracking.model import ObjectModel
 from kpirl_ocp.perception.tracking.optical_flow import follow
-from kpirl_ocp.perception.tracking.redetection import Memory, candidates
+from kpirl_ocp.perception.tracking.redetection import Memory, Twins, candidates
 from kpirl_ocp.perception.tracking.similarity import fit, scale, transform
 from kpirl_ocp.types import Array, Mask
 
@@ -86,10 +86,11 @@ class _Tracker:
     """State between frames.
 
     first: the first frame. before: the last one and the pose in it. sure, recent: frames to find the object again from.
-    motion: (3, 3) pose by pose. lost: frames since it was last found.
+    motion: (3, 3) pose by pose. lost: frames since it was last found. twins: that look like it, and are not.
     """
 
     model: ObjectModel
+    twins: Twins
     first: Memory
     before: Memory
     sure: Memory
@@ -100,7 +101,7 @@ class _Tracker:
     @classmethod
     def start(cls, views: Views, mask: Mask) -> _Tracker:
         first = Memory(views, np.eye(3))
-        return cls(ObjectModel.of(views, mask), first, first, first, first, np.eye(3))
+        return cls(ObjectModel.of(views, mask), Twins.of(views, mask), first, first, first, first, np.eye(3))
 
     def located(self, time: float, found: Mask) -> Located:
         pose, model = self.before.pose, self.model
@@ -150,14 +151,14 @@ class _Tracker:
             greys = memory.at(pose)
             for level in (0, 1):
                 match = self._match(views, greys, pose, pose, level)
-                if match:
+                if match and not self.twins.is_one(views, match.pose):
                     return match
         matches = [
             match
             for guess in candidates(views, self.sure, pose, self.model.mask, self.lost)
             for greys in [self.sure.at(guess)]
             for level in (0, 1)
-            if (match := self._match(views, greys, guess, guess, level))
+            if (match := self._match(views, greys, guess, guess, level)) and not self.twins.is_one(views, match.pose)
         ]
         return _unambiguous(matches)
 
