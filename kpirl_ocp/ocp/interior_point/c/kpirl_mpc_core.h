@@ -252,9 +252,11 @@ int kpirl_mpc_idle(kpirl_mpc_core *core);
 
 /* curvature */
 int kpirl_mpc_escape(kpirl_mpc_core *core, real shortest);
+real kpirl_mpc_largest_curvature(const kpirl_mpc_core *core);
 
 /* regularisation: returns whether there is a step */
 int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation, int indefinite);
+real kpirl_mpc_stronger(const kpirl_mpc_core *core);
 
 /* line search: the derivative of the barrier function along the step; `least` is the tau to stop at. The others return whether
  * they moved. */

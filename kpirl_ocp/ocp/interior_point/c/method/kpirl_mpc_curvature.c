@@ -9,6 +9,11 @@
 static const real SHORTENED = (real)0.25; /* from one length to the next */
 static const real FLAT = (real)1e-8;      /* curvature, relative to the largest, that counts as none */
 
+real kpirl_mpc_largest_curvature(const kpirl_mpc_core *core) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
+  return kpirl_mpc_largest(core->d.H, T * n_x * n_x + n_s * n_s);
+}
+
 /* A direction along which the Hessian of the last factors is negative, from the most negative pivot: the step becomes
  *     u_t = W' e_j,  s = 0 before,  u = K s after it,    with curvature -1.
  * Returns whether there is one. */
@@ -72,10 +77,9 @@ static int move_off(kpirl_mpc_core *core, real shortest) {
 /* At a point that meets the first-order conditions: 0 where it is a minimum, a flat one too, 1 where it is none and was left, -1
  * where it is none and no way led down from it, be it as short as `shortest` times the direction. */
 int kpirl_mpc_escape(kpirl_mpc_core *core, real shortest) {
-  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), n_H = T * n_x * n_x + n_s * n_s;
   kpirl_mpc_step *step = &core->step;
   core->trials = 0;
-  if (kpirl_mpc_factorise(core, 0) || kpirl_mpc_factorise(core, FLAT * kpirl_mpc_largest(core->d.H, n_H))) return 0;
+  if (kpirl_mpc_factorise(core, 0) || kpirl_mpc_factorise(core, FLAT * kpirl_mpc_largest_curvature(core))) return 0;
   if (!find_negative_curvature(core)) return -1;
   step->tau = core->tau;
   step->share = KPIRL_MPC_BOUNDARY;

@@ -123,7 +123,7 @@ int kpirl_mpc_newton_iterate(kpirl_mpc_core *core, int indefinite) {
   for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
     if (!kpirl_mpc_find_positive_step(core, rho, indefinite && attempt == 0)) return 0;
     if (move_along(core, 0)) return 1;
-    rho = kpirl_mpc_larger(100 * core->step.regularisation, (real)1e-4);
+    rho = kpirl_mpc_stronger(core);
   }
   return 0;
 }

@@ -58,14 +58,15 @@ int kpirl_mpc_acceptable(const kpirl_mpc_core *core) {
   return kpirl_mpc_worst(&residuals) <= kpirl_mpc_root(core->tolerance) / 10;
 }
 
-/* Have all residuals stayed as they are for some iterations? A start that follows the dynamics has the best feasibility of all. */
+/* Have all residuals stayed as they are for some iterations? A start that follows the dynamics has the best feasibility of all;
+ * regularised steps are slow for another reason than rounding. */
 int kpirl_mpc_idle(kpirl_mpc_core *core) {
   kpirl_mpc_residuals residuals;
   real parts[3];
   int i;
   kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
   relative(&residuals, parts);
-  ++core->idle;
+  core->idle = core->step.regularisation > 0 ? 0 : core->idle + 1;
   for (i = 0; i < 3; ++i)
     if (parts[i] < core->best[i] / 2) {
       core->best[i] = parts[i];
