@@ -17,6 +17,7 @@ from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.errors import FileError, ModelError, ProblemError, TrainingError
 from kpirl_ocp.perception.data.recordings import Recording
 from kpirl_ocp.perception.detector import losses
+from kpirl_ocp.perception.detector.checkpoint import Checkpoint
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.evaluation import on_mask, score
 from kpirl_ocp.perception.detector.keypoints import local_soft_argmax
@@ -220,6 +221,18 @@ def test_a_single_keypoint_can_be_trained():
 
 
 # Checkpoints
+
+
+def test_the_same_state_of_a_training_has_the_same_bytes(tmp_path):
+    model = torch.nn.Linear(3, 2)
+    optimiser = torch.optim.Adam(model.parameters())
+    written = set()
+    for index in range(20):
+        stored = Checkpoint(tmp_path / str(index), {"seed": 0})
+        stored.save(model, optimiser, {"total": [1.0]})
+        written.add(stored.path.read_bytes())
+        assert stored.load(model, optimiser, ("total",)) == {"total": [1.0]}
+    assert len(written) == 1
 
 
 @pytest.fixture

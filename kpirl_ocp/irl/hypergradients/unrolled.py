@@ -39,6 +39,8 @@ from kpirl_ocp.types import Array, Demonstration, Solution
 _KINK = 1e-12
 # Share of the adjoint that truncation may leave out before the gradient counts as approximate.
 _REMAINDER = 1e-9
+# Growth of the adjoint back over the steps, and so of rounding along them, that leaves less than eight digits.
+_GROWTH = 1e8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +48,8 @@ class UnrolledCertificate(Certificate):
     """Evidence for a gradient through gradient steps.
 
     steps: N. differentiated: number of last steps in the reverse pass.
-    remainder: |v_{N-k}| / |v_N|, the adjoint at which the reverse pass stopped; it multiplies everything left out.
+    remainder: |v_{N-k}| / |v_N|, the adjoint at which the reverse pass stopped; it multiplies everything left out. At
+        most about one where the steps converge; where they diverge it says how much they enlarge what rounding does.
     kink_distance: smallest distance of an unprojected iterate to its bound; infinite without projection.
     """
 
@@ -64,7 +67,8 @@ class Unrolled:
 
     solver: the gradient descent to unroll; no other solver can be.
     loss: IRL loss.
-    policy: "raise" or "flag" when the gradient is not certified (NaN, or an iterate on the kink of the projection).
+    policy: "raise" or "flag" when the gradient is not certified (NaN, steps that diverge, or an iterate on the kink of
+        the projection).
     checkpoint: remember every sqrt(N)-th iterate only and take the steps between again: memory O(sqrt N), and one more
         forward pass.
     """
@@ -194,6 +198,11 @@ def _failures(
         failures.append("The inner cost is NaN or infinite: look at the solution's status and the cost.")
     if left_out and not remainder <= _REMAINDER:
         failures.append(f"Truncated: the first {left_out} steps are left out, with {remainder:.1e} of the adjoint.")
+    if not left_out and remainder > _GROWTH:
+        failures.append(
+            f"The steps diverge: they enlarge differences {remainder:.1e} times, rounding among them. "
+            "Take smaller steps (`step_size`), or another guess."
+        )
     if not kink > _KINK:
         failures.append("An iterate touches an action bound with zero force: the projection has no derivative there.")
     return failures

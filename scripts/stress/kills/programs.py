@@ -18,12 +18,14 @@ class Program:
     """name; words: the command, with {data} and {out}; needs: programs that make {data} first.
 
     codes: exit codes of a run that ended. volatile: files that hold times, or paths, and differ from run to run.
+    share: of its length, within which it is killed; it goes on, so that later starts reach the rest.
     """
 
     name: str
     words: Sequence[str]
     codes: tuple[int, ...] = (0,)
     volatile: tuple[str, ...] = ("metrics.json", "config.yaml")
+    share: float = 1.0
 
     def command(self, data: Path, out: Path) -> list[str]:
         """To be run."""
@@ -48,7 +50,7 @@ PROGRAMS = (
     _kpirl("cost learning", "learn", "--steps", "600", "--task", "reaching"),
     _kpirl(
         "detector training",
-        *("train-keypoints", "--data", "{data}/keypoints", "--preset", "tiny", "--steps", "600", "--threads", "1"),
+        *("train-keypoints", "--data", "{data}/keypoints", "--preset", "tiny", "--steps", "300", "--threads", "1"),
         codes=(0, 2),  # a detector of so few steps is not good
     ),
     _kpirl(
@@ -60,5 +62,6 @@ PROGRAMS = (
         "reproduction of the paper",
         ["{scripts}/reproduce_paper.py", "--preset", "tiny", "--jobs", "1", "--out", "{out}"],
         volatile=("metrics.json", "config.yaml", "report.html"),
+        share=0.2,
     ),
 )
