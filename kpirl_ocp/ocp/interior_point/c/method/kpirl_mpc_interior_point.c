@@ -213,8 +213,17 @@ static int roll_guess_out(kpirl_mpc_core *core, const kpirl_mpc_start *guess, kp
   return kpirl_mpc_all_finite(x, kpirl_mpc_n_point(core)) && memcmp(x, guess->x, size) != 0;
 }
 
-/* With lifted steps; where they get stuck, with steps along the dynamics, from the guess and then from where its actions lead.
- * A warm start that gets stuck begins again first, cold, from its trajectory. */
+/* Begin again from where the method stands, without its costates. */
+static void begin_again(kpirl_mpc_core *core) {
+  memset(core->at.costates, 0, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
+  core->no_costates = 1;
+  kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
+  begin_here(core, kpirl_mpc_start_tau(core));
+}
+
+/* With lifted steps; where they get stuck, with steps along the dynamics: from there if there was a step, which led nowhere, then
+ * from the guess, and then from where its actions lead. A warm start that gets stuck begins again first, cold, from its
+ * trajectory. */
 static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   int warm = start->costates != NULL;
   kpirl_mpc_start rolled;
@@ -230,6 +239,11 @@ static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start)
   status = converge_restoring(core);
   if (!given_up(core, status)) return status;
   core->lifted = 0;
+  if (status == KPIRL_MPC_STALLED && core->step.positive) {
+    begin_again(core);
+    status = converge_restoring(core);
+    if (!given_up(core, status)) return status;
+  }
   begin(core, start, 0);
   status = converge_restoring(core);
   if (!given_up(core, status) || !roll_guess_out(core, start, &rolled)) return status;
