@@ -5,8 +5,8 @@ force. The weights are to be found from the expert's forces alone, from 20 publi
 
     min_w  mean (u*(w) - u_expert)^2 / 2,      u*(w) the forces that are optimal for the weights w
 
-There are many local minima. The expert's solver begins at straight lines of states from the start to the goal, the
-published one and a faster one, the learner's at the expert's plan.
+There are many local minima. As published, the expert's solver begins at a straight line of states from the start to the
+goal, the learner's at the expert's plan.
 """
 
 from kpirl_ocp.cli.main import experiment

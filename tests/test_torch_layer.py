@@ -1,6 +1,7 @@
 """An OCP as a layer in PyTorch: trajectories of the solver, gradients that gradcheck believes, nothing silent."""
 
 import copy
+import importlib
 import pickle
 import re
 import subprocess
@@ -323,6 +324,15 @@ def test_the_published_imitation_task_is_solved(tmp_path):
     errors = [float(error) for error in re.findall(r"error of the weights ([\d.e+-]+)", ran.stdout)]
     assert len(errors) == 20
     assert max(errors) < 1e-3
+
+
+def test_the_expert_ends_in_no_minimum_of_many_turns(monkeypatch):
+    """From the published lines: where no length of a lifted step is accepted, steps along the dynamics go on."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "scripts"))
+    imitation = importlib.import_module("experiments.imitate_expert")
+    layer = OCPLayer(imitation.cart_pole(), Riccati(max_iterations=2000))
+    plans = imitation.demonstrate(layer, imitation.starting_states())
+    assert max(solution.objective for solution in plans.solutions) < 4e4
 
 
 class Plans(torch.utils.data.Dataset):

@@ -12,7 +12,6 @@ from kpirl_ocp import OCP, Riccati
 from kpirl_ocp.bridges import OCPLayer
 from kpirl_ocp.bridges.torch_layer import Plan, guesses_of
 from kpirl_ocp.reporting import kept_if_interrupted, write_metrics
-from kpirl_ocp.types import Trajectory
 
 HORIZON, DEMONSTRATIONS = 100, 32
 TRUE = (1.0, 2.0, 1.5, 1.0)
@@ -68,24 +67,14 @@ def starting_states() -> torch.Tensor:
 
 
 def demonstrate(layer: OCPLayer, states: torch.Tensor) -> Plan:
-    """The expert's plans: the cheaper ones of those begun at two straight lines from the states (32, 4) to the goal.
-
-    One line takes the whole time, as published, and one a fifth of it; neither has any force. From the first alone, a
-    plan may end in a minimum of many turns and a thousand times the cost, whose forces outweigh all others in the loss.
+    """The expert's plans, begun at straight lines from the states (32, 4) to the goal, without force.
 
     Raises SolveError where the layer's policy is to raise it: an expert that is not optimal teaches other weights.
     """
+    lines = torch.linspace(1, 0, HORIZON + 1).double()[:, None] * states[:, None]
     with torch.no_grad():
-        plans = [layer(torch.tensor(TRUE).double(), states, guess=_line(states, steps)) for steps in (100, 20)]
-        pairs = zip(*(plan.solutions for plan in plans), strict=True)
-        best = [min(pair, key=lambda solution: solution.objective).trajectory for pair in pairs]
-        return layer(torch.tensor(TRUE).double(), states, guess=best)
-
-
-def _line(states: torch.Tensor, steps: int) -> list[Trajectory]:
-    """Straight lines that reach the goal after some steps, and stay."""
-    shares = (1 - torch.arange(HORIZON + 1).double() / steps).clamp(min=0)
-    return guesses_of(torch.zeros(DEMONSTRATIONS, HORIZON, 1), shares[:, None] * states[:, None])
+        guesses = guesses_of(torch.zeros(DEMONSTRATIONS, HORIZON, 1), lines)
+        return layer(torch.tensor(TRUE).double(), states, guess=guesses)
 
 
 def weights(free: torch.Tensor) -> torch.Tensor:
