@@ -22,7 +22,7 @@ from stress.peers.rates import Answer, answer
 from stress.settings import PROFILES
 from stress.statuses import confirmed
 
-from kpirl_ocp import FiniteDifference, Ipopt, Unrolled
+from kpirl_ocp import FiniteDifference, Ipopt, Status, Unrolled
 from kpirl_ocp.errors import CertificateError
 
 QUICK = PROFILES["quick"]
@@ -54,6 +54,13 @@ def test_a_gradient_of_steps_that_diverge_is_not_certified(index):
     case = draw(index)
     with pytest.raises(CertificateError, match="The steps diverge: they enlarge differences"):
         Unrolled(STEPS, case.loss)(case.problem, case.demonstration, case.psi, case.guess)
+
+
+@pytest.mark.parametrize("index", [7, 631])
+def test_slow_steps_in_units_of_a_small_cost_are_not_taken_for_rounding(index):
+    case = draw(index)
+    given = (case.demonstration.s0, case.psi, case.demonstration.context)
+    assert case.solver.solve(case.problem, *given, guess=case.guess).status is Status.CONVERGED
 
 
 def test_an_acceptable_solution_that_newton_steps_still_move_is_not_certified():
