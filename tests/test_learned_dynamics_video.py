@@ -131,17 +131,3 @@ def test_a_film_in_which_the_detector_does_not_see_its_object_is_refused(tmp_pat
     assert run(["learn-video", str(path), MODELS[0], "--out", str(tmp_path)]) == 2
     assert "not seen for sure" in capsys.readouterr().err
     assert (tmp_path / "refused.png").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ([MODELS[1]], "--dynamics: needs --detector"),
-        (["--start", "3", "--end", "1"], "--end: must be after --start, 3 s, got 1 s"),
-        (["--recording", __file__], "--recording: needs --dynamics"),
-        ([*MODELS, "--robot", "ur5"], "--robot: not with --dynamics"),
-    ],
-)
-def test_options_that_do_not_go_together_are_named(words, message, tmp_path, capsys):
-    assert run(["learn-video", "film.mp4", *words, "--out", str(tmp_path)]) == 2
-    assert message in capsys.readouterr().err

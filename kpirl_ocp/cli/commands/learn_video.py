@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kpirl_ocp.cli.imitation.arm import BOTTLE_LENGTH, Arm, Scale, arm_for, other_starts
+from kpirl_ocp.cli.imitation.checks import camera_cost, check
 from kpirl_ocp.cli.imitation.drawing import draw_learning, draw_paths, side_by_side
 from kpirl_ocp.cli.imitation.execution import Executed, execute
 from kpirl_ocp.cli.imitation.learned_dynamics import imitate
@@ -29,7 +30,7 @@ _SHOWN = 8  # frames of the contact sheet
 
 def main(args: Namespace) -> int:
     """Watch, learn, plan, execute; 1 if an execution stays more than a tenth of the way from the demonstration."""
-    _check(args)
+    check(args)
     film = Film(args.film, args.source_rate if args.film.is_dir() else None, args.start, args.end or np.inf).steadied()
     if film.camera:
         print(f"camera:  moves its picture by up to {film.camera.reach:.0f} pixels; steadied on the background")
@@ -63,18 +64,6 @@ def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) 
     if args.export:
         print(f"C:       {_export(args.out / 'c', learned, arm)}")
     return 0 if all(run.reached < 0.1 for run in runs) else 1
-
-
-def _check(args: Namespace) -> None:
-    """Raise OptionError for options that do not go together."""
-    if args.end is not None and args.end <= args.start:
-        raise OptionError(f"--end: must be after --start, {args.start:g} s, got {args.end:g} s")
-    if args.dynamics and not args.detector:
-        raise OptionError("--dynamics: needs --detector, the one through which the dynamics were learned")
-    if args.recording and not args.dynamics:
-        raise OptionError("--recording: needs --dynamics, learned from such recordings")
-    if args.dynamics and args.robot not in (None, "iiwa") and not args.recording:
-        raise OptionError("--robot: not with --dynamics, whose arm is that of --recording, or the iiwa in the scene")
 
 
 def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:
@@ -124,12 +113,10 @@ def _learn(args: Namespace, arm: Arm, way: Array, rate: float) -> LearnedCost:
 
 def _reuse(path: Path, arm: Arm, way: Array) -> LearnedCost:
     """A cost of another film, for the goal of this one. Raises OptionError if it does not fit."""
-    learned = LearnedCost.read(path)
-    if learned.setting.camera is None or learned.horizon != len(way) - 1 or learned.displacement.size != way[0].size:
-        needed = f"{way.shape[1]} keypoints in a camera's image, T = {len(way) - 1}"
-        raise OptionError(f"--cost: {path} is for other keypoints or steps; this film needs {needed}")
-    if learned.setting.robot != arm.name:
-        raise OptionError(f"--cost: {path} is for the robot {learned.setting.robot!r}, not {arm.name!r}")
+    learned = camera_cost(path, arm.name, len(way) - 1)
+    size, needed = learned.displacement.size, way[0].size
+    if size != needed:
+        raise OptionError(f"--cost: {path} is for {size // 2} keypoints; those of this film are {needed // 2}")
     return replace(learned, setting=arm.setting, displacement=(way[-1] - way[0]).ravel() / arm.setting.unit)
 
 

@@ -66,6 +66,17 @@ class Plan:
     times: Array = stored("timestamp", np.float64, "T+1")
 
 
+def check(args: Namespace) -> None:
+    """Raise the error of the dynamics, recording, robot or cost that does not fit the others."""
+    dynamics = _dynamics(args)
+    _rate(dynamics)
+    _limits(args, dynamics)
+    if args.recording:
+        read_arm_film(args.recording)
+    if args.cost:
+        _known_cost(args, dynamics)
+
+
 def imitate(args: Namespace, tracks: Tracks) -> int:
     """Learn, plan and, in the scene, execute; 1 if the path stays more than a tenth of the way from the demonstration.
 
@@ -74,7 +85,7 @@ def imitate(args: Namespace, tracks: Tracks) -> int:
         SolveError: there is no plan from a start.
     """
     detector = KeypointDetector.load(args.detector)
-    dynamics = load_dynamics(args.dynamics) if args.recording else planar_dynamics(args.dynamics)
+    dynamics = _dynamics(args)
     person = in_half_images(tracks, args.steps, 1.0 if args.scale is None else args.scale)
     arms = [_recorded(detector, args.recording)] if args.recording else _in_scene(detector, person, args)
     demonstrations = [transferred_demonstration(dynamics, person, arm.keypoints, arm.joints) for arm in arms]
@@ -95,18 +106,17 @@ def imitate(args: Namespace, tracks: Tracks) -> int:
     return 0 if all(distance < 0.1 for distance in executed or planned) else 1
 
 
+def _dynamics(args: Namespace) -> NetworkDynamics:
+    return load_dynamics(args.dynamics) if args.recording else planar_dynamics(args.dynamics)
+
+
 def _cost(
     args: Namespace, dynamics: NetworkDynamics, demonstration: Demonstration
 ) -> tuple[PlanningCost, LearningResult | None]:
     """Learned time-dependent weights and one effort weight, written to OUT; or the cost of --cost."""
-    horizon = len(demonstration.observations) - 1
     if args.cost:
-        cost = read_planning_cost(args.cost, dynamics)
-        if cost.horizon != horizon:
-            raise OptionError(f"--cost: {args.cost} has T = {cost.horizon}, --steps says {horizon}")
-        if args.robot and cost.limits and cost.limits.robot != args.robot:
-            raise OptionError(f"--cost: {args.cost} is for the robot {cost.limits.robot!r}, not {args.robot!r}")
-        return cost, None
+        return _known_cost(args, dynamics), None
+    horizon = len(demonstration.observations) - 1
     family = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
     limits = _limits(args, dynamics)
     problem = limited_network_ocp(dynamics, family, horizon, limits)
@@ -115,6 +125,16 @@ def _cost(
     cost = replace(PlanningCost.of(family, history.psi, horizon, dynamics.n_z, CONVERGED), limits=limits)
     print(f"cost:    {write_planning_cost(args.out / 'cost.json', cost, dynamics)}")
     return cost, history
+
+
+def _known_cost(args: Namespace, dynamics: NetworkDynamics) -> PlanningCost:
+    """That of --cost. Raises OptionError if it is for another number of steps or another robot."""
+    cost = read_planning_cost(args.cost, dynamics)
+    if cost.horizon != args.steps:
+        raise OptionError(f"--cost: {args.cost} has T = {cost.horizon}, --steps says {args.steps}")
+    if args.robot and cost.limits and cost.limits.robot != args.robot:
+        raise OptionError(f"--cost: {args.cost} is for the robot {cost.limits.robot!r}, not {args.robot!r}")
+    return cost
 
 
 def _limits(args: Namespace, dynamics: NetworkDynamics) -> ArmLimits | None:

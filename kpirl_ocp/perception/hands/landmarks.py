@@ -57,6 +57,12 @@ def hands_are_installed() -> bool:
     return Interpreter is not None and are_there()
 
 
+def check_hands() -> None:
+    """Raise DependencyError, with the command that brings it, if the extra or one of its networks is missing."""
+    for name in ("palm", "landmarks"):
+        _interpreter(name)
+
+
 def find_hands(image: Frames) -> list[Hand]:
     """All hands in an image (H, W, 3) RGB, the surest first.
 

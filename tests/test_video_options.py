@@ -1,0 +1,103 @@
+"""Options of `kpirl learn-video` are checked before the film is opened: here there is none, and nothing says so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cv2")
+pytest.importorskip("pybullet")
+pytest.importorskip("torch")
+
+from kpirl_ocp.assets import shipped_model
+from kpirl_ocp.cli.main import run
+from kpirl_ocp.irl.cases.cost_files import ArmSetting, LearnedCost
+from kpirl_ocp.irl.visual.learning import CONVERGED
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost, write_planning_cost
+from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
+from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, Weighted
+from kpirl_ocp.ocp.models.pinhole import Pinhole
+from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.perception.hands import landmarks
+
+DETECTOR = f"--detector {shipped_model('detector')}"
+MODELS = f"{DETECTOR} --dynamics {shipped_model('placing')}"
+IN_SPACE = LearnedCost(KeypointCost(Weighted()), np.ones(6), 5, Riccati())
+CAMERA = Pinhole(np.diag([300.0, 300.0, 1.0]), np.eye(3), np.zeros(3))
+ON_FILM = replace(IN_SPACE, setting=ArmSetting(camera=CAMERA), displacement=np.ones(6))
+
+
+@pytest.fixture
+def refused(tmp_path, capsys):
+    """The sentence with which options for a film that does not exist are refused."""
+
+    def sentence(words):
+        assert run(["learn-video", "no_film.mp4", *words.split(), "--out", str(tmp_path / "out")]) == 2
+        return capsys.readouterr().err
+
+    return sentence
+
+
+def test_right_options_reach_the_film(refused):
+    assert "no_film.mp4" in refused("--robot panda --flange panda_hand")
+    assert "no_film.mp4" in refused(MODELS)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (f"--dynamics {shipped_model('placing')}", "--dynamics: needs --detector"),
+        ("--start 3 --end 1", "--end: must be after --start, 3 s, got 1 s"),
+        (f"--recording {__file__}", "--recording: needs --dynamics"),
+        (f"{MODELS} --robot ur5", "--robot: not with --dynamics"),
+        (f"{MODELS} --flange hand", "--flange: not with --dynamics"),
+        (f"{MODELS} --object-size 0.1", "--object-size: not with --dynamics"),
+    ],
+)
+def test_options_that_do_not_go_together_are_named(words, message, refused):
+    assert message in refused(words)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--robot pnada", "no robot 'pnada': did you mean 'panda'?"),
+        ("--robot nowhere.urdf", "no URDF file"),
+        ("--flange hnad", "has no link 'hnad'; its links are: lbr_iiwa_link_0"),
+        ("--robot panda --flange lbr_iiwa_link_7", "has no link 'lbr_iiwa_link_7'"),
+        (f"--cost {__file__}", "test_video_options.py is not a learned cost"),
+        (f"--detector {__file__}", "test_video_options.py"),
+        (f"{DETECTOR} --dynamics {__file__}", "test_video_options.py"),
+        (f"{MODELS} --cost {__file__}", "test_video_options.py is not a cost over detected keypoints"),
+        (f"{MODELS} --recording {__file__}", "test_video_options.py"),
+    ],
+)
+def test_arms_links_and_files_are_looked_at_first(words, message, refused):
+    assert message in refused(words)
+
+
+@pytest.mark.parametrize(
+    ("cost", "words", "message"),
+    [
+        (IN_SPACE, "--steps 5", "is for keypoints in space; a film needs keypoints in a camera's image"),
+        (ON_FILM, "--steps 8", "has T = 5, --steps says 8"),
+        (ON_FILM, "--steps 5 --robot panda", "is for the robot 'iiwa', not 'panda'"),
+        (ON_FILM, "--steps 5", "no_film.mp4"),
+    ],
+)
+def test_a_cost_for_something_else_is_refused_first(cost, words, message, refused, tmp_path):
+    cost.write(tmp_path / "cost.json")
+    assert message in refused(f"--cost {tmp_path / 'cost.json'} {words}")
+
+
+def test_a_cost_over_detected_keypoints_for_other_steps_is_refused_first(refused, tmp_path):
+    cost = PlanningCost(np.ones((3, 8)), np.ones(3), CONVERGED)
+    path = write_planning_cost(tmp_path / "cost.json", cost, load_dynamics(shipped_model("placing")))
+    assert "has T = 3, --steps says 4" in refused(f"{MODELS} --cost {path} --steps 4")
+    assert "no_film.mp4" in refused(f"{MODELS} --cost {path} --steps 3")
+
+
+def test_the_extra_for_hands_is_asked_for_first(refused, monkeypatch):
+    monkeypatch.setattr(landmarks, "Interpreter", None)
+    landmarks._interpreter.cache_clear()
+    assert "kpirl-ocp[hands]" in refused("--hand")
