@@ -15,6 +15,7 @@ import numpy as np
 from bench.part import Part, Table
 from tqdm import tqdm
 
+import kpirl_ocp
 from stress.kills.programs import DATA, PROGRAMS, Program
 from stress.settings import Profile
 
@@ -79,7 +80,7 @@ def _run(program: Program, data: Path, out: Path) -> None:
 
 
 def _start(program: Program, data: Path, out: Path) -> subprocess.Popen:
-    root = Path(__file__).parents[3]
+    root = Path(kpirl_ocp.__file__).parents[1]  # that of this process, also where another lies beside the scripts
     environment = os.environ | {"PYTHONPATH": f"{root}:{os.environ.get('PYTHONPATH', '')}"}
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
     return subprocess.Popen(program.command(data, out), env=environment, start_new_session=True, **pipes)
