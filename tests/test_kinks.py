@@ -114,3 +114,57 @@ def test_the_unrolled_gradient_is_flagged_where_psi_the_observation_or_the_loss_
     seen = Demonstration(np.zeros(1), np.zeros(0), np.reshape(observations, (3, 1)))
     method = Unrolled(GradientDescent(200, 0.2), policy="flag", **({} if loss is None else {"loss": loss}))
     assert method(problem, seen, [psi]).certificate.certified is certified
+
+
+def two_steps(stage_cost, psi):
+    """Of length 1/4 from u = 0, with the demonstrated s_1 = 1."""
+    problem = OCP.from_expressions(**PLAIN | {"horizon": 1}, stage_cost=stage_cost)
+    seen = Demonstration(np.zeros(1), np.zeros(0), np.array([[0.0], [1.0]]))
+    return Unrolled(GradientDescent(2, 0.25), policy="flag")(problem, seen, [psi])
+
+
+def test_a_kink_that_steps_meet_on_the_way_is_measured_by_the_slopes_to_both_sides():
+    """u_2 = 7/16 psi below 0 and 6/16 psi above it, so that the slopes of (u_2 - 1)^2 at 0 are -14/16 and -12/16.
+
+    No derivative is both: the certificate's kink is at least half their difference, relative to the larger.
+    """
+    cost = (U - P) ** 2 / 2 + ca.fmax(U, 0) ** 2 / 2
+    found = two_steps(cost, 0.0)
+    assert not found.certificate.certified
+    assert 1 / 14 - 1e-6 < found.certificate.kink < 2 / 14 + 1e-6
+    assert "end on a kink or cross one" in str(found.certificate)
+    for psi, share in ((-0.1, 7 / 16), (-1e-4, 7 / 16), (1e-4, 6 / 16), (0.1, 6 / 16)):
+        beside = two_steps(cost, psi)
+        assert beside.certificate.certified
+        np.testing.assert_allclose(beside.gradient, 2 * share * (share * psi - 1), rtol=1e-12)
+
+
+def test_steps_that_jump_at_psi_are_not_certified_and_those_beside_are():
+    """With the cost |u - psi| / 2 steps are 1/8 long whatever psi is, but stop on 1/8 for no other psi than this."""
+    cost = ca.fabs(U - P) / 2
+    assert not two_steps(cost, 0.125).certificate.certified
+    for psi, end in ((0.12, 0.0), (0.13, 0.25)):
+        found = two_steps(cost, psi)
+        assert found.certificate.certified
+        assert (found.gradient == 0).all()
+        np.testing.assert_allclose(found.loss, (end - 1) ** 2)
+
+
+def test_curvature_is_no_kink_to_gradients_of_steps():
+    """At a demonstration that is met exactly the gradient is 0, and slopes to both sides are all curvature."""
+    seen = two_steps((U - P) ** 2 / 2, 16 / 7)
+    np.testing.assert_allclose(seen.gradient, 0, atol=1e-15)
+    assert seen.certificate.certified
+    steep = two_steps((U - ca.exp(1e3 * (P - 1))) ** 2 / 2, 1.0)
+    np.testing.assert_allclose(steep.gradient, 2 * (7 / 16 - 1) * 7 / 16 * 1e3, rtol=1e-12)
+    assert steep.certificate.certified
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_every_one_of_several_demonstrations_has_its_own_kink(count):
+    """The start of one of them lies on the kink of the cost in s; the others stay beside it."""
+    problem = OCP.from_expressions(**PLAIN | {"horizon": 1}, stage_cost=(U - P) ** 2, terminal_cost=ca.fabs(S) * S / 4)
+    starts = [0.0, 1.0, -1.0][:count]
+    seen = [Demonstration(np.array([start]), np.zeros(0), np.array([[start], [1.0]])) for start in starts]
+    results = Unrolled(GradientDescent(5, 0.1), policy="flag").batch(problem, seen, [0.0])
+    assert [result.certificate.certified for result in results] == [False, True, True][:count]

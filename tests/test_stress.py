@@ -63,6 +63,14 @@ def test_slow_steps_in_units_of_a_small_cost_are_not_taken_for_rounding(index):
     assert case.solver.solve(case.problem, *given, guess=case.guess).status is Status.CONVERGED
 
 
+@pytest.mark.parametrize("index", [202, 264])
+def test_a_gradient_of_steps_that_end_on_a_kink_of_the_cost_is_not_certified(index):
+    """The cost bends in an action: the slopes of the loss to both sides differ, or the steps go to and fro."""
+    case = draw(index)
+    with pytest.raises(CertificateError, match="The steps end on a kink or cross one"):
+        Unrolled(STEPS, case.loss)(case.problem, case.demonstration, case.psi, case.guess)
+
+
 def test_an_acceptable_solution_that_newton_steps_still_move_is_not_certified():
     """A fold in odd units: the solver stops at 1.4 % of an action, and says that rounding leaves no more."""
     assert judge(draw(6111)) is not Verdict.WRONG

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -25,13 +26,15 @@ from kpirl_ocp.irl.hypergradients.certificate import (
     nonfinite_failures,
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
-from kpirl_ocp.irl.hypergradients.smoothness import kinks_at
+from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
+from kpirl_ocp.irl.hypergradients.unrolled_slopes import Descents
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_function
+from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
-from kpirl_ocp.ocp.sensitivity.certificate import Certificate, Policy, check_policy
+from kpirl_ocp.ocp.sensitivity.certificate import KINK, Certificate, Policy, check_policy
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, audited, check_constraints
 from kpirl_ocp.types import Array, Demonstration, Solution
 
@@ -41,6 +44,10 @@ _KINK = 1e-12
 _REMAINDER = 1e-9
 # Growth of the adjoint back over the steps, and so of rounding along them, that leaves less than eight digits.
 _GROWTH = 1e8
+_STEPS_KINK = (
+    "The steps end on a kink or cross one: the loss has other slopes beside psi than this gradient. "
+    "Use smooth costs and dynamics (squares, softplus, tanh)."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,12 +58,16 @@ class UnrolledCertificate(Certificate):
     remainder: |v_{N-k}| / |v_N|, the adjoint at which the reverse pass stopped; it multiplies everything left out. At
         most about one where the steps converge; where they diverge it says how much they enlarge what rounding does.
     kink_distance: smallest distance of an unprojected iterate to its bound; infinite without projection.
+    kink: relative difference between the gradient and the slopes of the loss to both sides, along one fixed random
+        direction of psi, from steps taken again at psi beside; what curvature explains is left out. It also measures
+        what truncation left out.
     """
 
     steps: int
     differentiated: int
     remainder: float
     kink_distance: float
+    kink: float
 
 
 @dataclass(frozen=True)
@@ -67,8 +78,8 @@ class Unrolled:
 
     solver: the gradient descent to unroll; no other solver can be.
     loss: IRL loss.
-    policy: "raise" or "flag" when the gradient is not certified (NaN, steps that diverge, or an iterate on the kink of
-        the projection).
+    policy: "raise" or "flag" when the gradient is not certified (NaN, steps that diverge, an iterate on the kink of the
+        projection, or slopes of the loss to both sides of psi that differ from it).
     checkpoint: remember every sqrt(N)-th iterate only and take the steps between again: memory O(sqrt N), and one more
         forward pass.
     """
@@ -156,25 +167,58 @@ def unrolled_gradients(
     observed = np.concatenate([data_of(loss, problem, demonstration).T for demonstration in demonstrations])
     evaluate = call_function(_function(problem, solver, loss, last, checkpoint, len(inputs)))
     (outputs,) = evaluate(actions, starts, psis, contexts, observed)
-    rows = zip(inputs, outputs.reshape(len(inputs), -1), demonstrations, strict=True)
-    return [
-        _with_kinks(problem, loss, demonstration, _result(problem, solver, last, psi, context, output))
-        for (_, psi, context), output, demonstration in rows
+    rows = zip(demonstrations, inputs, outputs.reshape(len(inputs), -1), strict=True)
+    sweeps = [
+        _sweep(problem, solver, loss, last, demonstration, psi, context, output)
+        for demonstration, (_, psi, context), output in rows
     ]
+    descents = Descents(problem, solver, loss, inputs[0][1], actions, starts, contexts, observed)
+    losses, gradients, terms = (
+        np.array(found) for found in zip(*((x.loss, x.gradient, x.terms) for x in sweeps), strict=True)
+    )
+    kinks = descents.kinks(losses, gradients, terms).tolist()
+    return [sweep.result(problem, kink) for sweep, kink in zip(sweeps, kinks, strict=True)]
 
 
-def _with_kinks(
-    problem: OCP, loss: Loss, demonstration: Demonstration, result: HypergradientResult
-) -> HypergradientResult:
-    """With a failure where the loss, or a function of psi, is not smooth at the last iterate."""
-    kinks = kinks_at(problem, loss, data_of(loss, problem, demonstration), result.certificate.solution)
-    certificate = replace(result.certificate, failures=(*result.certificate.failures, *kinks))
-    return result._replace(certificate=certificate)
+class _Sweep(NamedTuple):
+    """One sweep back, before the slopes to both sides are known; at: the loss at the last iterate."""
+
+    loss: float
+    gradient: Array
+    certificate: UnrolledCertificate
+    at: LossAt
+
+    @property
+    def terms(self) -> float:
+        """The size of the terms of the loss that its rounding is relative to, as the steps enlarge it."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            size = abs(self.at.value) + np.abs(self.at.slopes) @ np.abs(_plan(self.certificate.solution))
+            return float(size * max(1.0, self.certificate.remainder))
+
+    def result(self, problem: OCP, kink: float) -> HypergradientResult:
+        """With failures where the loss, a function of psi, or the steps are not smooth."""
+        found = self.certificate
+        failures = [*found.failures, *self.at.kinks, *parameter_kinks(problem, found.solution)]
+        if not failures and not kink <= KINK:
+            failures.append(_STEPS_KINK)
+        return HypergradientResult(self.loss, self.gradient, replace(found, kink=kink, failures=tuple(failures)))
 
 
-def _result(
-    problem: OCP, solver: GradientDescent, last: int, psi: Array, context: Array, output: Array
-) -> HypergradientResult:
+def _plan(solution: Solution) -> Array:
+    """(n_w,) in the order of time."""
+    return by_stage(solution.states, solution.actions)
+
+
+def _sweep(
+    problem: OCP,
+    solver: GradientDescent,
+    loss: Loss,
+    last: int,
+    demonstration: Demonstration,
+    psi: Array,
+    context: Array,
+    output: Array,
+) -> _Sweep:
     """From one column of `unrolled_function`."""
     value, remainder, kink, initial = output[:4].tolist()
     gradient, point = output[4 : 4 + problem.n_parameters], output[4 + problem.n_parameters :]
@@ -186,8 +230,10 @@ def _result(
         differentiated=last,
         remainder=remainder,
         kink_distance=kink,
+        kink=np.inf,  # until it is measured
     )
-    return HypergradientResult(value, gradient, certificate)
+    at = LossAt(problem, loss, data_of(loss, problem, demonstration), _plan(solution))
+    return _Sweep(value, gradient, certificate, at)
 
 
 def _failures(

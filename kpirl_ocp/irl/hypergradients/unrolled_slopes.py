@@ -1,0 +1,108 @@
+"""Slopes of the loss after gradient steps to both sides of psi, which show kinks that derivatives do not see.
+
+CasADi's derivative of a kinked cost is that of one side, and steps that end on a kink, or cross it again and again,
+have other slopes than the product of their derivatives. Along a fixed random direction d of psi,
+
+    (L(psi + h d) - L(psi)) / h    and    (L(psi) - L(psi - h d)) / h    have to be    dL/dpsi . d.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from kpirl_ocp.irl.hypergradients.loss import Loss
+from kpirl_ocp.ocp.codegen.compiler import compiled
+from kpirl_ocp.ocp.codegen.numpy_calls import call_function
+from kpirl_ocp.ocp.problem.columns import regroup, repeat
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.reduced_cost import ReducedCost, reduced_symbols
+from kpirl_ocp.ocp.sensitivity.certificate import KINK
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, gradient_step
+from kpirl_ocp.types import Array
+
+_STEP = 1e-6  # h: of psi, relative
+_CLOSER = 0.1  # a second step, relative to the first: what curvature does to a slope shrinks with it, a kink does not
+_ROUNDING = 1e-12  # of the loss, relative to its terms, with a margin by which kinks are told from it
+_SMALL = 1e-3  # share of the largest parameter by which the others move at least
+
+
+@dataclass(frozen=True)
+class Descents:
+    """B descents side by side, for the same psi (n_psi,).
+
+    actions: (B T, n_u) to start from. starts: (B n_s,). contexts: (B n_c,). observed: (B (T+1), n_z).
+    """
+
+    problem: OCP
+    solver: GradientDescent
+    loss: Loss
+    psi: Array
+    actions: Array
+    starts: Array
+    contexts: Array
+    observed: Array
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def kinks(self, losses: Array, gradients: Array, terms: Array) -> Array:
+        """The largest relative difference (B,) between gradients and slopes to both sides that is not curvature.
+
+        Args:
+            losses: (B,) at psi.
+            gradients: (B, n_psi).
+            terms: (B,) the size of the terms of each loss, with what the steps enlarge them by.
+        """
+        move = _direction(self.psi)
+        noise = _ROUNDING * terms / _STEP
+        expected, total = gradients @ move, np.abs(gradients * move).sum(axis=1)
+        far = self._slopes(move, _STEP, losses)
+        size = np.max([total, noise, *np.abs(far)], axis=0)
+        kinks = _ratio(np.abs(far - expected).max(axis=0), size)
+        if not (kinks > KINK).any():
+            return kinks
+        near = self._slopes(move, _CLOSER * _STEP, losses)
+        size = np.max([total, noise / _CLOSER, *np.abs(far), *np.abs(near)], axis=0)
+        left = np.abs(near - expected - _CLOSER * (far - expected)).max(axis=0) / (1 - _CLOSER)
+        return np.where(kinks > KINK, _ratio(left, size), kinks)
+
+    def _slopes(self, move: Array, length: float, losses: Array) -> Array:
+        """(2, B): forward and backward."""
+        count = len(losses)
+        evaluate = call_function(_losses(self.problem, self.solver, self.loss, 2 * count))
+        psis = np.concatenate([np.tile(self.psi + sign * length * move, count) for sign in (1.0, -1.0)])
+        twice = (np.concatenate([array, array]) for array in (self.actions, self.starts, self.contexts, self.observed))
+        actions, starts, contexts, observed = twice
+        (beside,) = evaluate(actions, starts, psis, contexts, observed)
+        return np.array([[1.0], [-1.0]]) * (beside.reshape(2, count) - losses) / length
+
+
+def _direction(psi: Array) -> Array:
+    """(n_psi,) random, always the same, in units of the parameters."""
+    size = np.abs(psi).max(initial=0.0)
+    own = np.maximum(np.abs(psi), _SMALL * size) if size > 0 else np.ones(len(psi))
+    return own * np.random.default_rng(0).uniform(0.5, 1.0, len(psi))
+
+
+def _ratio(part: Array, whole: Array) -> Array:
+    """part / whole; 0 where both are 0, and infinite where the whole is not finite."""
+    known = (whole > 0) & np.isfinite(whole)
+    return np.divide(part, whole, out=np.where((part == 0) & (whole == 0), 0.0, np.inf), where=known)
+
+
+@lru_cache(maxsize=64)
+def _losses(problem: OCP, solver: GradientDescent, loss: Loss, columns: int) -> ca.Function:
+    """(U_0, s0, psi, c, Z) -> the losses (1, B) after all steps; shapes as in `unrolled_function`."""
+    reduced, (u, s0, psi, context) = ReducedCost(problem, columns), reduced_symbols(problem, columns)
+    function = loss(problem)
+    observed = ca.MX.sym("Z", function.size1_in(2), columns * (problem.horizon + 1))
+    step = gradient_step(problem, solver, columns)
+    once = ca.Function("once", step.mx_in(), step.call(step.mx_in())[:1])
+    constants = (s0, psi, *reduced.cost.coefficients(psi, context))
+    final = once.fold(solver.steps)(regroup(u, problem.horizon), *repeat(constants, solver.steps))
+    rollout = reduced.passes.rollout(s0, final, psi)
+    states, actions = regroup(rollout.states, columns), regroup(final, columns)
+    value = function.map(columns)(states, actions, observed)
+    return compiled(ca.Function("losses", [u, s0, psi, context, observed], [ca.densify(value)]))
