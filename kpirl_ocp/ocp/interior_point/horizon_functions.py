@@ -17,6 +17,7 @@ import casadi as ca
 
 from kpirl_ocp.ocp.conditions.stage_derivatives import linearise_dynamics
 from kpirl_ocp.ocp.interior_point.stage_functions import constraint_functions, last_functions
+from kpirl_ocp.ocp.problem.columns import map_shared
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.trajectory_cost import TrajectoryCost, stage_costs
 
@@ -66,12 +67,9 @@ def _values(problem: OCP) -> ca.Function:
     states, actions, psi, context = point
     cost = TrajectoryCost(problem, 1)
     total = cost.first(states, actions, cost.coefficients(psi, context))[0]
-    successors = problem.transition.map(problem.horizon)(
-        states[:, :-1], actions, problem.transition_numbers(psi, context)
-    )
-    rows = [problem.at_stages(g, *point) for g in (problem.path_constraint, problem.path_equality)]
-    ends = [problem.at_end(g, *point) for g in (problem.terminal_inequality, problem.terminal_equality)]
-    return _function("horizon_values", point, [total, successors, *rows, *ends])
+    (successors,) = map_shared(problem.transition, problem.horizon, [states[:, :-1], actions, psi])
+    rows, ends = _rows(problem, 0, point, []), _ends(problem, 0, point, [])
+    return _function("horizon_values", point, [total, successors, *rows[1:], *ends[1:]])
 
 
 def _first(problem: OCP) -> ca.Function:
@@ -128,13 +126,12 @@ def _plus_sparse(dense: ca.MX, sparse: ca.MX) -> ca.MX:
 
 def _rows(problem: OCP, level: int, point: list[ca.MX], dual: list[ca.MX]) -> list[ca.MX]:
     """The results of `constraint_functions` at all stages, dense; the cost and its gradient in them are zero."""
-    (states, actions, psi, context), (_, Z, N, *_), steps = point, dual, problem.horizon
-    stage = constraint_functions(problem)[level]
-    dense = ca.Function("rows", stage.mx_in(), [ca.densify(x) for x in stage(*stage.mx_in())])
-    wide = [ca.repmat(value, 1, steps) for value in (psi, context)]
-    return list(dense.map(steps)(ca.vertcat(states[:, :-1], actions), *wide, problem.stages[:, :-1], Z, N))
+    states, actions, psi, context = point
+    x = ca.vertcat(states[:, :-1], actions)
+    given = [x, psi, context, problem.stages[:, :-1], *dual[1:3]]
+    return map_shared(constraint_functions(problem)[level], problem.horizon, given)
 
 
 def _ends(problem: OCP, level: int, point: list[ca.MX], dual: list[ca.MX]) -> list[ca.MX]:
-    (states, _, psi, context), (*_, z, nu) = point, dual
-    return list(last_functions(problem)[level](states[:, -1], psi, context, problem.stages[:, -1], z, nu))
+    states, _, psi, context = point
+    return list(last_functions(problem)[level](states[:, -1], psi, context, problem.stages[:, -1], *dual[3:]))

@@ -48,6 +48,33 @@ def _group(stage: ca.Function, length: int, backwards: bool, same: Sequence[bool
     return ca.Function("group", [start, *wide], [carried, *outputs])
 
 
+def map_shared(function: ca.Function, steps: int, inputs: Sequence[ca.MX], add: bool = False) -> list[ca.MX]:
+    """The dense outputs of all steps side by side, or their sums; an input of one step's shape is the same at each.
+
+    No input is repeated, and none handed over that does not matter: either takes O(T^2) memory where it has numbers
+    for every step.
+    """
+    used = _used(function)
+    share = [inputs[i].shape == function.size_in(i) for i in used]
+    mapped = _with_inputs(function, used).map(steps, share, [add] * function.n_out())
+    return mapped.call([inputs[i] for i in used])
+
+
+def _used(function: ca.Function) -> list[int]:
+    """The inputs that an output depends on."""
+    symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+    outputs = ca.vertcat(*map(ca.vec, function.call(symbols)))
+    return [i for i, symbol in enumerate(symbols) if ca.depends_on(outputs, symbol)]
+
+
+def _with_inputs(function: ca.Function, used: Sequence[int]) -> ca.Function:
+    """Of these inputs alone, with zeros for the others, and dense outputs."""
+    symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+    given = [symbol if i in used else type(symbol).zeros(symbol.shape) for i, symbol in enumerate(symbols)]
+    outputs = [ca.densify(output) for output in function.call(given, True, False)]
+    return ca.Function(function.name(), [symbols[i] for i in used], outputs)
+
+
 def reverse(array: ca.MX, width: int) -> ca.MX:
     """The blocks of `width` columns in opposite order."""
     if width == 1:

@@ -105,6 +105,14 @@ class TrajectoryCost:
         by_last, _, by_theta_last = final.second.map(B)(S[:, T * B :], empty, theta.last, dS[:, T * B :], empty)
         return ca.horzcat(by_s, by_last), by_u, Coefficients(by_theta, by_theta_last)
 
+    def first_along(self, S: ca.MX, U: ca.MX, theta: Coefficients, dtheta: Coefficients) -> tuple[ca.MX, ca.MX]:
+        """Changes of dJ/dS and dJ/dU along dtheta."""
+        T, B = self.problem.horizon, self.columns
+        running, final = (_first_along(cost.first) for cost in stage_costs(self.problem))
+        by_s, by_u = running.map(T * B)(S[:, : T * B], U, theta.stages, dtheta.stages)
+        by_last, _ = final.map(B)(S[:, T * B :], ca.MX(0, B), theta.last, dtheta.last)
+        return ca.horzcat(by_s, by_last), by_u
+
 
 @lru_cache(maxsize=64)
 def stage_costs(problem: OCP) -> tuple[StageCost, StageCost]:
@@ -114,6 +122,16 @@ def stage_costs(problem: OCP) -> tuple[StageCost, StageCost]:
     s, psi, c, d = (kind.sym(name, final.size1_in(i)) for i, name in enumerate(("s", "psi", "c", "d")))
     without_action = ca.Function("terminal_cost", [s, kind.sym("u", 0), psi, c, d], [final(s, psi, c, d)])
     return StageCost.of(problem.stage_cost), StageCost.of(without_action)
+
+
+@lru_cache(maxsize=64)
+def _first_along(first: ca.Function) -> ca.Function:
+    """(s, u, theta, dtheta) -> changes of l_s (n_s,) and l_u (n_u,)."""
+    kind = ca.SX if first.is_a("SXFunction") else ca.MX
+    s, u, theta = (kind.sym(name, first.size1_in(i)) for i, name in enumerate(("s", "u", "theta")))
+    dtheta = kind.sym("dtheta", theta.numel())
+    _, *slopes = first(s, u, theta)
+    return ca.Function("first_along", [s, u, theta, dtheta], [ca.densify(ca.jtimes(l, theta, dtheta)) for l in slopes])
 
 
 _LARGE = 5e6  # operations that are written out for all stages, at most
