@@ -10,15 +10,19 @@ import statements
 from problems import TABLE, integrator, network
 
 from kpirl_ocp import Riccati
+from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.irl.hypergradients.implicit import differentiate
 from kpirl_ocp.ocp.codegen.numpy_calls import Call, call
 from kpirl_ocp.ocp.conditions import parameter_derivatives
 from kpirl_ocp.ocp.conditions.program import transcribe
+from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
+from kpirl_ocp.ocp.problem.columns import map_shared
 from kpirl_ocp.ocp.problem.layout import by_stage, split, unpack
 from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedByStage
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, PrimalDual, linearise
 from kpirl_ocp.ocp.sensitivity.rows import rows_of
 
+PRODUCTS = parameter_derivatives.pull, parameter_derivatives.push
 RNG = np.random.default_rng(0)
 
 
@@ -136,6 +140,33 @@ def test_stage_functions_take_the_derivatives_that_a_problem_brings():
     plain, other = (H[: problem.horizon * n**2].reshape(-1, n, n) for H in found)
     lower = np.triu(np.ones((n, n), bool))  # by columns
     np.testing.assert_allclose((other - plain)[:, lower], 1, rtol=1e-9)
+
+
+def test_memory_grows_with_the_horizon_and_not_with_its_square_where_every_step_has_weights():
+    sizes = []
+    for horizon in (20, 40, 80):
+        problem = placing_case(horizon, 1).bounded
+        functions = [*horizon_functions(problem).horizon, *(f(problem) for f in PRODUCTS)]
+        sizes.append([function.sz_w() for function in functions])
+    small, middle, large = np.array(sizes)
+    assert (large - middle <= 2.1 * (middle - small)).all()
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_steps_share_inputs_of_one_step_and_leave_out_those_that_do_not_matter(steps):
+    for kind in (ca.SX, ca.MX):
+        x, p, unused = kind.sym("x", 2), kind.sym("p", 3), kind.sym("unused", 4)
+        f = ca.Function("f", [x, p, unused], [ca.dot(x, x) * p, kind.zeros(2), x[0] + p[0]])
+        X, P, nothing = ca.MX.sym("X", 2, steps), ca.MX.sym("P", 3), ca.MX.sym("nothing", 4, steps)
+        at = RNG.normal(size=(2, steps)), RNG.normal(size=3)
+        squares = (at[0] ** 2).sum(axis=0)
+        side_by_side, summed = (
+            ca.Function("mapped", [X, P], map_shared(f, steps, [X, P, nothing], add))(*at) for add in (False, True)
+        )
+        expected = np.outer(at[1], squares), np.zeros((2, steps)), at[0][:1] + at[1][0]
+        for found, total, value in zip(side_by_side, summed, expected, strict=True):
+            np.testing.assert_allclose(found, value, rtol=1e-14)
+            np.testing.assert_allclose(total, value.sum(axis=1, keepdims=True), rtol=1e-14)
 
 
 def test_calls_refuse_arguments_of_the_wrong_length_and_sparse_functions():

@@ -6,9 +6,9 @@ and p = (psi, c),
     phi(p) = sum_t  dx_t . grad_x L_t + dlambda_t . f + dz_t . h + dnu_t . e
 
 is how (dx, dlambda, dz, dnu) weigh the conditions. `pull` gives its gradient by p, and `push` the changes of grad L, f,
-h and e along dp. Parameters enter the cost by way of its coefficients, see `kpirl_ocp.ocp.problem.trajectory_cost`, so
-that weights per step take O(T) operations for all steps together. Vectors over all stages are x = (s_0, u_0, s_1, .., s_T); costates (T n_s,); multipliers of h and g_T;
-those of e and e_T.
+h and e along dp. Parameters enter the costs by way of their coefficients, see `kpirl_ocp.ocp.problem.trajectory_cost`,
+so that weights per step take O(T) operations for all steps together. Vectors over all stages are
+x = (s_0, u_0, s_1, .., s_T); costates (T n_s,); multipliers of h and g_T; those of e and e_T.
 """
 
 from __future__ import annotations

@@ -130,8 +130,8 @@ def _first_along(first: ca.Function) -> ca.Function:
     kind = ca.SX if first.is_a("SXFunction") else ca.MX
     s, u, theta = (kind.sym(name, first.size1_in(i)) for i, name in enumerate(("s", "u", "theta")))
     dtheta = kind.sym("dtheta", theta.numel())
-    _, *slopes = first(s, u, theta)
-    return ca.Function("first_along", [s, u, theta, dtheta], [ca.densify(ca.jtimes(l, theta, dtheta)) for l in slopes])
+    changes = [ca.densify(ca.jtimes(slope, theta, dtheta)) for slope in first(s, u, theta)[1:]]
+    return ca.Function("first_along", [s, u, theta, dtheta], changes)
 
 
 _LARGE = 5e6  # operations that are written out for all stages, at most
