@@ -1,6 +1,7 @@
 """From tracks in an image to an arm that repeats them: the camera in the plan, scales, refusals, files, the command."""
 
 import json
+import re
 from dataclasses import replace
 
 import casadi as ca
@@ -21,13 +22,13 @@ from kpirl_ocp.errors import DemonstrationError, ProblemError, SceneError
 from kpirl_ocp.irl.cases.cost_files import ArmSetting, LearnedCost
 from kpirl_ocp.irl.visual.camera_learning import (
     camera_demonstration,
-    check_reach,
     held_points,
     learn_in_image,
     learn_on,
     path_distance,
     plan_from,
 )
+from kpirl_ocp.irl.visual.reach import check_reach, impossible_motions
 from kpirl_ocp.motion import minimum_jerk
 from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, Weighted
 from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state
@@ -136,6 +137,53 @@ def test_a_path_that_the_arm_cannot_follow_is_refused(iiwa):
     too_far = 0.5 * (way(across=700.0) - way()[0])
     demonstration = camera_demonstration(arm.setting, arm.robot, arm.start, too_far)
     with pytest.raises(DemonstrationError, match="cannot follow"):
+        check_reach(arm.setting, arm.robot, demonstration)
+
+
+def planar_arm(path, axis):
+    """A URDF of three joints with parallel axes, 0.3 m apart."""
+    links = "".join(f'<link name="l{i}"/>' for i in range(5))
+    kinds, places = 3 * ["revolute"] + ["fixed"], ["0 0 0.3"] + 3 * ["0.3 0 0"]
+    joints = "".join(
+        f'<joint name="j{i}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/><origin xyz="{place}"/>'
+        f'<axis xyz="{axis}"/><limit lower="-2.8" upper="2.8" effort="100" velocity="3"/></joint>'
+        for i, (kind, place) in enumerate(zip(kinds, places, strict=True))
+    )
+    path.write_text(f'<robot name="arm">{links}{joints}</robot>')
+    return str(path)
+
+
+@pytest.fixture
+def planar(tmp_path):
+    """For an axis of the joints: an arm, and a path sideways, upwards and in a turn; the camera looks along y."""
+
+    def build(axis):
+        places = way(across=20.0, down=-20.0, turn=0.4)
+        return arm_for(planar_arm(tmp_path / "arm.urdf", axis), None, places, Scale(0.3, 0.25, None))
+
+    return build
+
+
+@pytest.mark.parametrize(
+    ("axis", "theta", "missing"),
+    [
+        ("0 1 0", [0.6, -1.4, 0.8], []),  # bent, in the plane of the image
+        ("0 1 0", [0.0, 0.0, 0.0], ["sideways", "in a turn"]),  # stretched: a turn comes with a motion up or down
+        ("0 0 1", [0.4, -0.4, 0.4], ["up or down", "in a turn"]),  # in a horizontal plane
+    ],
+)
+def test_a_planar_arm_hardly_moves_across_its_plane_nor_along_itself_when_stretched(planar, axis, theta, missing):
+    arm, wanted = planar(axis)
+    observations = camera_demonstration(arm.setting, arm.robot, np.array(theta), wanted).observations
+    assert impossible_motions(arm.setting, arm.robot, np.array(theta), observations) == missing
+    still = np.repeat(observations[:1], 2, axis=0)
+    assert impossible_motions(arm.setting, arm.robot, np.array(theta), still) == []  # a path that shows none of them
+
+
+def test_a_path_across_the_plane_of_a_planar_arm_is_refused_with_that_reason(planar):
+    arm, wanted = planar("0 0 1")
+    demonstration = camera_demonstration(arm.setting, arm.robot, arm.start, wanted)
+    with pytest.raises(DemonstrationError, match=r"moves up or down and in a turn .* 3 joints .*--robot"):
         check_reach(arm.setting, arm.robot, demonstration)
 
 
@@ -252,11 +300,20 @@ def test_one_command_leads_from_a_film_to_a_robot_that_does_it(tmp_path, moving_
     words += ["--iterations", "25", "--starts", "1", "--out", str(tmp_path)]
     assert run(words) == 0, capsys.readouterr()
     written = {path.name for path in tmp_path.iterdir()}
-    assert {"tracks.npz", "tracks.png", "tracks.mp4", "cost.json", "paths.png", "imitation.mp4"} <= written
+    assert {"tracks.npz", "tracks.png", "tracks.mp4", "cost.json", "paths.png"} <= written
+    assert {"imitation.mp4", "imitation.png"} <= written
     tracks = str(tmp_path / "tracks.npz")
     again = ["learn-video", str(moving_film), "--tracks", tracks, "--scale", "0.4", "--steps", "5", "--starts", "2"]
     assert run([*again, "--cost", str(tmp_path / "cost.json"), "--out", str(tmp_path / "again")]) == 0
     assert not (tmp_path / "again" / "cost.json").exists()
+
+
+def test_an_execution_that_stays_far_from_the_film_says_whether_the_arm_or_the_cost_is_why(
+    tmp_path, moving_film, capsys
+):
+    words = ["learn-video", str(moving_film), "--box", "54,74,106,126", "--scale", "0.4", "--steps", "5"]
+    assert run([*words, "--iterations", "1", "--starts", "1", "--out", str(tmp_path)]) == 1
+    assert re.search(r"start 1: the arm could stay \d\.\d% of the way .* learn longer", capsys.readouterr().out)
 
 
 def test_a_film_that_shows_no_motion_is_refused_with_a_picture(tmp_path, capsys):

@@ -10,12 +10,13 @@ import numpy as np
 
 from kpirl_ocp.cli.imitation.arm import BOTTLE_LENGTH, Arm, Scale, arm_for, other_starts
 from kpirl_ocp.cli.imitation.checks import camera_cost, check
-from kpirl_ocp.cli.imitation.drawing import draw_learning, draw_paths, side_by_side
-from kpirl_ocp.cli.imitation.execution import Executed, execute
+from kpirl_ocp.cli.imitation.drawing import draw_imitation, draw_learning, draw_paths, side_by_side
+from kpirl_ocp.cli.imitation.execution import ALLOWED, Executed, execute, shortfall
 from kpirl_ocp.cli.imitation.learned_dynamics import imitate
 from kpirl_ocp.errors import DemonstrationError, OptionError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
-from kpirl_ocp.irl.visual.camera_learning import camera_demonstration, check_reach, learn_in_image
+from kpirl_ocp.irl.visual.camera_learning import camera_demonstration, learn_in_image
+from kpirl_ocp.irl.visual.reach import check_reach
 from kpirl_ocp.ocp.export.folder import export_c
 from kpirl_ocp.perception.detector.tracks import detector_tracks
 from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, refusal
@@ -57,13 +58,18 @@ def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) 
     scale = Scale(args.scale, args.object_size or BOTTLE_LENGTH, length)
     arm, way = arm_for(args.robot or "iiwa", args.flange, steps.positions, scale)
     learned = _learn(args, arm, way, args.steps / float(part.times[-1]))
-    runs = [execute(arm, learned, way, start) for start in other_starts(arm, args.starts, args.seed)]
+    starts = other_starts(arm, args.starts, args.seed)
+    runs = [execute(arm, learned, way, start) for start in starts]
     _report(args, learned, runs)
+    far = [i for i, run in enumerate(runs) if run.reached >= ALLOWED]
+    for i in far:
+        print(f"start {i + 1}: {shortfall(arm, way, starts[i], runs[i])}")
     print(f"figure:  {draw_paths(args.out / 'paths.png', runs)}")
+    print(f"picture: {draw_imitation(args.out / 'imitation.png', part, runs[0])}")
     print(f"film:    {side_by_side(args.out / 'imitation.mp4', shown, part, runs[0])}")
     if args.export:
         print(f"C:       {_export(args.out / 'c', learned, arm)}")
-    return 0 if all(run.reached < 0.1 for run in runs) else 1
+    return 1 if far else 0
 
 
 def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:

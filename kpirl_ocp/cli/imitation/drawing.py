@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import cycle
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -16,6 +18,7 @@ from kpirl_ocp.perception.data.video import Frames, sampled
 from kpirl_ocp.perception.tracking.pictures import overlay, zoomed
 from kpirl_ocp.perception.tracking.tracks import Tracks
 from kpirl_ocp.perception.tracking.watch import Film
+from kpirl_ocp.pictures import PAGE, STYLE, figure_class
 from kpirl_ocp.types import Array
 
 
@@ -50,6 +53,41 @@ def _loss(axis: Axes, losses: Array) -> None:
     axis.semilogy(losses, color=figures.COLOURS[0])
     axis.set(xlabel="outer iteration", ylabel="IRL loss [(half images)²]", title="training loss")
     axis.grid(alpha=0.3, which="both")
+
+
+def draw_imitation(path: Path, tracks: Tracks, run: Executed) -> Path:
+    """The object's tracks without the film, and the robot with its keypoints at the start, half-way and at the end."""
+    width, height = tracks.size
+    ratios = [width / height, 1, 1, 1]
+    with matplotlib.rc_context(dict(STYLE)):
+        figure = figure_class()(figsize=(PAGE, 1.15 * PAGE / sum(ratios)), layout="constrained")
+        first, *others = figure.subplots(1, 4, width_ratios=ratios)
+    _draw_tracks(first, tracks)
+    last = len(run.images) - 1
+    for axis, title, step in zip(others, ("start", "half-way", "end"), (0, last // 2, last), strict=True):
+        axis.imshow(run.images[step], extent=(0, run.images.shape[2], run.images.shape[1], 0))
+        for index, colour in zip(range(run.keypoints.shape[1]), cycle(figures.COLOURS), strict=False):
+            axis.plot(*run.keypoints[: step + 1, index].T, color=colour, linewidth=1)
+            axis.scatter(*run.keypoints[step, index], s=12, color=colour, zorder=3)
+        axis.set_title(f"the arm: {title}")
+        axis.set_axis_off()
+    return figures.save(figure, path)
+
+
+def _draw_tracks(axis: Axes, tracks: Tracks) -> None:
+    """Rings where the tracks (T+1, K, 2) begin, dots where they end, and the quadrilateral that they make there."""
+    places, (width, height) = tracks.positions, tracks.size
+    for end in (0, -1):
+        around = places[end] - places[end].mean(axis=0)
+        order = np.argsort(np.arctan2(around[:, 1], around[:, 0]))
+        axis.fill(*places[end, order].T, color=figures.GREY, alpha=0.2, linewidth=0)
+    for index in range(places.shape[1]):
+        colour = figures.COLOURS[index % len(figures.COLOURS)]
+        axis.plot(*places[:, index].T, color=colour)
+        axis.scatter(*places[0, index], facecolors="white", edgecolors=colour, zorder=3)
+        axis.scatter(*places[-1, index], color=colour, zorder=3)
+    axis.set(title="the object's tracks in the film", xlabel="x [pixels]", ylabel="y [pixels]")
+    axis.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
 
 
 def side_by_side(path: Path, film: Film, tracks: Tracks, run: Executed) -> Path:

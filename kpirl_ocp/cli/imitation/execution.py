@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from kpirl_ocp.cli.imitation.arm import Arm
-from kpirl_ocp.errors import SceneError
+from kpirl_ocp.errors import DemonstrationError, SceneError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.visual.camera_learning import camera_demonstration, path_distance, plan_from
+from kpirl_ocp.irl.visual.reach import check_reach
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.types import Array
 
 _RATES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 24, 30)  # [Hz] that the scene keeps
+ALLOWED = 0.1  # relative distance from the demonstration that an execution may have
 _SPEED = 0.35  # of the fastest joint, so that the motors keep up [rad/s]
 
 
@@ -77,3 +79,23 @@ def _rate_for(actions: Array) -> int:
     if not slow_enough:
         raise SceneError(f"a step of {largest:.2f} rad takes the arm more than a second: plan more steps (--steps).")
     return slow_enough[-1]
+
+
+def shortfall(arm: Arm, way: Array, start: Array, run: Executed) -> str:
+    """The reason why an execution stays far from the demonstration (arm, cost or motors), and what to do about it.
+
+    way, start: as in `execute`.
+    """
+    try:
+        best = check_reach(arm.setting, arm.robot, camera_demonstration(arm.setting, arm.robot, start, way))
+    except DemonstrationError as error:
+        return str(error)
+    if run.planned >= ALLOWED:
+        return (
+            f"the arm could stay {best:.1%} of the way from the path, the plan of the cost stays {run.planned:.1%}: "
+            "learn longer (--iterations), or from a shorter part of the film (--start, --end)."
+        )
+    return (
+        f"the plan stays {run.planned:.1%} of the way from the path, and the motors do not keep up with it: "
+        "plan more steps (--steps)."
+    )

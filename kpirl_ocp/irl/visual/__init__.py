@@ -3,7 +3,6 @@
 from kpirl_ocp.irl.visual.camera_learning import (
     CameraLearning,
     camera_demonstration,
-    check_reach,
     held_points,
     learn_in_image,
     path_distance,
@@ -27,6 +26,7 @@ from kpirl_ocp.irl.visual.learning import (
     learn_unrolled,
 )
 from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
+from kpirl_ocp.irl.visual.reach import check_reach
 
 __all__ = [
     "CONVERGED",

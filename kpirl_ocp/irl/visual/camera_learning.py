@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.errors import DemonstrationError, ProblemError
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.cost_files import ArmSetting, LearnedCost
-from kpirl_ocp.irl.cases.tasks import tracking_problem
 from kpirl_ocp.irl.hypergradients.implicit import Implicit
 from kpirl_ocp.irl.learning.learn import LearningResult, learn
 from kpirl_ocp.irl.learning.optimisers import LBFGS
@@ -30,7 +29,6 @@ from kpirl_ocp.types import Array, Demonstration, Solution
 
 _SOLVER = Riccati(tolerance=1e-9)
 _PROGRESS = 0.05  # relative fall of the loss with which it is worth beginning again
-_OUT_OF_REACH = 0.1  # relative distance that the arm's best path may keep from the demonstration
 
 
 def held_points(camera: Pinhole, rotation: Array, position: Array, offsets: ArrayLike) -> Array:
@@ -66,22 +64,6 @@ def path_distance(observations: Array, demonstrated: Array) -> float:
         for values in (observations - demonstrated, demonstrated - demonstrated[0])
     )
     return float(gap.mean() / way.max())
-
-
-def check_reach(setting: ArmSetting, robot: Robot, demonstration: Demonstration) -> float:
-    """The path distance that the arm keeps at best. Raises DemonstrationError if it cannot follow."""
-    horizon, n_z = len(demonstration.observations) - 1, demonstration.observations.shape[1]
-    tracker = tracking_problem(robot, horizon, setting.unit, setting.camera)
-    theta = demonstration.s0[n_z : n_z + robot.n_joints]
-    plan = _SOLVER.solve(tracker, theta, (), demonstration.observations[1:].ravel())
-    found = np.array([setting.state(robot, at)[:n_z] for at in plan.states])
-    distance = path_distance(found, demonstration.observations)
-    if not plan.status.ok or distance > _OUT_OF_REACH:
-        raise DemonstrationError(
-            f"the arm cannot follow this path: at best it stays {distance:.0%} of the way from it. Choose a smaller "
-            "scale, or a shorter part of the film."
-        )
-    return distance
 
 
 @dataclass(frozen=True, eq=False)
