@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from kpirl_ocp import OCP, Demonstration, GradientDescent, Implicit, Unrolled
+from kpirl_ocp.irl.hypergradients.smooth_graphs import is_smooth
 
 S, U, P = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("p")
 PLAIN = {"state": S, "action": U, "parameters": P, "dynamics": S + U, "horizon": 2}
@@ -152,12 +153,48 @@ def test_steps_that_jump_at_psi_are_not_certified_and_those_beside_are():
 
 def test_curvature_is_no_kink_to_gradients_of_steps():
     """At a demonstration that is met exactly the gradient is 0, and slopes to both sides are all curvature."""
-    seen = two_steps((U - P) ** 2 / 2, 16 / 7)
+    far = ca.fmax(U - 100, 0)  # a kink that no step meets
+    seen = two_steps((U - P) ** 2 / 2 + far, 16 / 7)
     np.testing.assert_allclose(seen.gradient, 0, atol=1e-15)
     assert seen.certificate.certified
-    steep = two_steps((U - ca.exp(1e3 * (P - 1))) ** 2 / 2, 1.0)
+    steep = two_steps((U - ca.exp(1e3 * (P - 1))) ** 2 / 2 + far, 1.0)
     np.testing.assert_allclose(steep.gradient, 2 * (7 / 16 - 1) * 7 / 16 * 1e3, rtol=1e-12)
     assert steep.certificate.certified
+
+
+@pytest.mark.parametrize(
+    ("expression", "smooth"),
+    [
+        (U**3 + ca.sin(U) * ca.exp(-U) / P, True),
+        (ca.tanh(U) + 1 / U, True),
+        (ca.sqrt(U**2), False),  # |u|
+        ((U**2) ** 0.5, False),
+        (ca.fabs(U), False),
+        (ca.fmax(U, 0), False),
+        (ca.if_else(U > 0, U, 2 * U), False),
+        (ca.floor(U), False),
+    ],
+)
+def test_a_function_is_smooth_where_all_its_operations_are(expression, smooth):
+    scalar = ca.Function("scalar", [U, P], [expression])
+    u, p = ca.MX.sym("u", 1, 3), ca.MX.sym("p", 1, 3)
+    mapped = ca.Function("mapped", [u, p], [ca.sum2(scalar.map(3)(u, p))])
+    assert is_smooth(scalar) is is_smooth(mapped) is smooth
+
+
+def test_tables_are_not_taken_for_smooth_functions():
+    table = ca.interpolant("table", "linear", [[0.0, 1.0, 2.0]], [0.0, 1.0, 0.0])
+    u = ca.MX.sym("u")
+    assert not is_smooth(ca.Function("f", [u], [table(u)]))
+
+
+def test_gradients_of_smooth_steps_need_no_steps_beside_and_are_those_that_steps_beside_confirm():
+    cost, far = (U - P) ** 2 * ca.exp(U) / 2, ca.fmax(U - 100, 0)
+    at_once, beside = two_steps(cost, 0.3), two_steps(cost + far, 0.3)
+    assert at_once.certificate.kink == 0 < beside.certificate.kink < 1e-5
+    assert at_once.certificate.certified
+    assert beside.certificate.certified
+    np.testing.assert_allclose(at_once.gradient, beside.gradient, rtol=1e-14)
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -26,6 +26,7 @@ from kpirl_ocp.irl.hypergradients.certificate import (
     nonfinite_failures,
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
+from kpirl_ocp.irl.hypergradients.smooth_graphs import is_smooth
 from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.irl.hypergradients.unrolled_slopes import Descents
@@ -176,8 +177,16 @@ def unrolled_gradients(
     losses, gradients, terms = (
         np.array(found) for found in zip(*((x.loss, x.gradient, x.terms) for x in sweeps), strict=True)
     )
-    kinks = descents.kinks(losses, gradients, terms).tolist()
-    return [sweep.result(problem, kink) for sweep, kink in zip(sweeps, kinks, strict=True)]
+    smooth = last == solver.steps and _smooth(problem, loss)
+    kinks = np.zeros(len(sweeps)) if smooth else descents.kinks(losses, gradients, terms)
+    return [sweep.result(problem, kink) for sweep, kink in zip(sweeps, kinks.tolist(), strict=True)]
+
+
+@lru_cache(maxsize=64)
+def _smooth(problem: OCP, loss: Loss) -> bool:
+    """Is the map from psi to the loss a composition of smooth functions? The projection onto bounds is judged apart."""
+    stated = (problem.dynamics, problem.stage_cost, problem.terminal_cost, problem.observation, loss(problem))
+    return all(is_smooth(function) for function in stated if function is not None)
 
 
 class _Sweep(NamedTuple):
