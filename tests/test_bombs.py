@@ -28,7 +28,7 @@ MANY = 3 * LIMIT // 8  # numbers of 8 bytes
 
 @pytest.fixture(autouse=True)
 def limit(monkeypatch):
-    monkeypatch.setattr("kpirl_ocp.files.LARGEST", LIMIT)
+    monkeypatch.setattr("kpirl_ocp.sizes.LARGEST", LIMIT)
 
 
 @pytest.fixture
@@ -171,7 +171,7 @@ def test_json_that_is_nested_deeply_or_very_long_is_refused(tmp_path, monkeypatc
     path.write_text("[" * 200_000)
     with pytest.raises(FileError, match="is not a learned cost"):
         LearnedCost.read(path)
-    monkeypatch.setattr("kpirl_ocp.files._LARGEST_TEXT", 100)
+    monkeypatch.setattr("kpirl_ocp.sizes._LARGEST_TEXT", 100)
     path.write_text("[" + " " * 100 + "]")
     with pytest.raises(ValueError, match="more than"):
         read_json(path)

@@ -170,7 +170,7 @@ def test_learning_that_was_interrupted_after_its_end_has_learned(made, signallin
     assert run(words) == 130
     learned = LearnedCost.read(tmp_path / "cost.json").psi
     monkeypatch.setattr(Learner, "step", None)  # there is nothing left to learn
-    monkeypatch.setattr(f"{C}learn.evaluate", evaluate)
+    monkeypatch.setattr(import_module(f"{C}learn"), "evaluate", evaluate)
     assert run(words) == 0
     np.testing.assert_array_equal(LearnedCost.read(tmp_path / "cost.json").psi, learned)
     assert not (tmp_path / "learning.npz").exists()

@@ -26,7 +26,7 @@ from kpirl_ocp.types import Array
 
 _STEP = 1e-6  # h: of psi, relative
 _CLOSER = 0.1  # a second step, relative to the first: what curvature does to a slope shrinks with it, a kink does not
-_ROUNDING = 1e-12  # of the loss, relative to its terms, with a margin by which kinks are told from it
+_ROUNDING = 1e-11  # of the loss, relative to its terms, with a margin by which kinks are told from it
 _SMALL = 1e-3  # share of the largest parameter by which the others move at least
 
 

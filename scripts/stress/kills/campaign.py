@@ -105,5 +105,5 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def _arrays(path: Path) -> dict[str, bytes]:
-    with np.load(path) as file:
+    with np.load(path, allow_pickle=False) as file:
         return {name: array.tobytes() for name, array in file.items() if not name.endswith("seconds")}
