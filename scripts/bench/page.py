@@ -58,14 +58,18 @@ def in_readme(text: str, control: Numbers) -> str:
 def readme_table(control: Numbers) -> str:
     """Milliseconds of every problem, a column each; the fastest peer by name."""
     header = ["", *control]
-    ours = ["`Riccati`", *(f"{found[OURS]['median_ms']:.2g}" for found in control.values())]
+    ours = ["`Riccati`", *(_two_digits(found[OURS]["median_ms"]) for found in control.values())]
     peers = ["fastest peer", *(_peer(found) for found in control.values())]
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (header, ["---"] * len(header), ours, peers))
 
 
 def _peer(found: Numbers) -> str:
     peer = fastest_peer(found)
-    return "" if peer is None else f"{found[peer]['median_ms']:.2g} ({peer.split(',')[0]})"
+    return "" if peer is None else f"{_two_digits(found[peer]['median_ms'])} ({peer.split(',')[0]})"
+
+
+def _two_digits(number: float) -> str:
+    return f"{float(f'{number:.2g}'):g}"
 
 
 def fastest_peer(found: Numbers) -> str | None:
