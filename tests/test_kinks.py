@@ -1,11 +1,14 @@
 """Kinks and jumps wherever they can be: in psi, the observation, the loss; and the same verdict in every unit."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from kpirl_ocp import OCP, Demonstration, GradientDescent, Implicit, Unrolled
 from kpirl_ocp.irl.hypergradients.smooth_graphs import is_smooth
+from kpirl_ocp.ocp.problem import DynamicsDerivatives
 
 S, U, P = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("p")
 PLAIN = {"state": S, "action": U, "parameters": P, "dynamics": S + U, "horizon": 2}
@@ -205,3 +208,16 @@ def test_every_one_of_several_demonstrations_has_its_own_kink(count):
     seen = [Demonstration(np.array([start]), np.zeros(0), np.array([[start], [1.0]])) for start in starts]
     results = Unrolled(GradientDescent(5, 0.1), policy="flag").batch(problem, seen, [0.0])
     assert [result.certificate.certified for result in results] == [False, True, True][:count]
+
+
+@pytest.mark.parametrize(("factor", "certified"), [(1.0, True), (1.001, False)])
+def test_derivatives_of_other_dynamics_are_not_certified(factor, certified):
+    problem, other = (
+        OCP.from_expressions(**PLAIN | {"dynamics": S + share * ca.sin(U)}, stage_cost=(U - P) ** 2)
+        for share in (1.0, factor)
+    )
+    problem = replace(problem, derivatives=DynamicsDerivatives.by_ad(other.transition))
+    seen = Demonstration(np.zeros(1), np.zeros(0), np.array([[0.0], [1.0], [1.0]]))
+    certificate = Unrolled(GradientDescent(5, 0.1), policy="flag")(problem, seen, [0.5]).certificate
+    assert certificate.certified is certified
+    assert certified or "own derivatives are not those of its dynamics" in str(certificate)

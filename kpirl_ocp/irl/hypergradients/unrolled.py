@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.irl.hypergradients.arranged_passes import passes_agree
 from kpirl_ocp.irl.hypergradients.certificate import (
     HypergradientResult,
     enforce,
@@ -45,6 +46,7 @@ _KINK = 1e-12
 _REMAINDER = 1e-9
 # Growth of the adjoint back over the steps, and so of rounding along them, that leaves less than eight digits.
 _GROWTH = 1e8
+_WRONG_DERIVATIVES = "The problem's own derivatives are not those of its dynamics: correct them, or leave them out."
 _STEPS_KINK = (
     "The steps end on a kink or cross one: the loss has other slopes beside psi than this gradient. "
     "Use smooth costs and dynamics (squares, softplus, tanh)."
@@ -179,7 +181,8 @@ def unrolled_gradients(
     )
     smooth = last == solver.steps and _smooth(problem, loss)
     kinks = np.zeros(len(sweeps)) if smooth else descents.kinks(losses, gradients, terms)
-    return [sweep.result(problem, kink) for sweep, kink in zip(sweeps, kinks.tolist(), strict=True)]
+    wrong = () if passes_agree(problem, len(inputs)) else (_WRONG_DERIVATIVES,)
+    return [sweep.result(problem, kink, wrong) for sweep, kink in zip(sweeps, kinks.tolist(), strict=True)]
 
 
 @lru_cache(maxsize=64)
@@ -204,10 +207,10 @@ class _Sweep(NamedTuple):
             size = abs(self.at.value) + np.abs(self.at.slopes) @ np.abs(_plan(self.certificate.solution))
             return float(size * max(1.0, self.certificate.remainder))
 
-    def result(self, problem: OCP, kink: float) -> HypergradientResult:
-        """With failures where the loss, a function of psi, or the steps are not smooth."""
+    def result(self, problem: OCP, kink: float, wrong: tuple[str, ...]) -> HypergradientResult:
+        """With what is wrong, and failures where the loss, a function of psi, or the steps are not smooth."""
         found = self.certificate
-        failures = [*found.failures, *self.at.kinks, *parameter_kinks(problem, found.solution)]
+        failures = [*found.failures, *wrong, *self.at.kinks, *parameter_kinks(problem, found.solution)]
         if not failures and not kink <= KINK:
             failures.append(_STEPS_KINK)
         return HypergradientResult(self.loss, self.gradient, replace(found, kink=kink, failures=tuple(failures)))
