@@ -242,9 +242,10 @@ class atomic_write:
             if kind is None:
                 self.file.flush()
                 self.part.replace(self.path)
+                self.file.close()
         finally:
             self.part.unlink(missing_ok=True)
-            with contextlib.suppress(OSError):  # what could not be flushed
+            with contextlib.suppress(OSError):  # another error is on its way: of the block, or of flushing
                 self.file.close()
 
 

@@ -1,16 +1,14 @@
 """Solvers, hypergradients and solutions are pickled before and after use; copies give the same numbers."""
 
 import pickle
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 
-import casadi as ca
 import numpy as np
 import pytest
+from problems import pendulum
 
 from kpirl_ocp import (
-    OCP,
     SQP,
-    Demonstration,
     Fatrop,
     FiniteDifference,
     GradientDescent,
@@ -22,7 +20,7 @@ from kpirl_ocp import (
 )
 from kpirl_ocp.ocp.sensitivity import sensitivity
 
-PSI = [0.8, 0.3]
+S0, PSI = [0.3, 0.0], [0.9, 0.6]
 SOLVERS = [Riccati(), Riccati(barrier=1e-3), GradientDescent(20, 0.05), Ipopt(), Fatrop(), SQP()]
 METHODS = [
     Implicit(),
@@ -33,18 +31,9 @@ METHODS = [
 ]
 
 
-def pendulum(bounds=(-np.inf, np.inf)):
-    s, u, psi = ca.SX.sym("s", 2), ca.SX.sym("u"), ca.SX.sym("psi", 2)
-    return OCP.from_expressions(
-        state=s,
-        action=u,
-        parameters=psi,
-        horizon=6,
-        action_bounds=bounds,
-        dynamics=s + 0.1 * ca.vertcat(s[1], u - psi[0] * ca.sin(s[0])),
-        stage_cost=(s[0] - 1) ** 2 + psi[1] * u**2,
-        terminal_cost=ca.sumsqr(s),
-    )
+def bounded():
+    """The problem of the pendulum with bounds on its torque, which gradient descent does not take."""
+    return replace(pendulum().problem, action_bounds=(-1.0, 1.0))
 
 
 def copied(thing):
@@ -69,28 +58,27 @@ def assert_same(one, other):
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda x: type(x).__name__)
 def test_a_solver_is_pickled_before_and_after_use(solver):
-    problem = pendulum() if isinstance(solver, GradientDescent) else pendulum((-2, 2))
+    problem = pendulum().problem if isinstance(solver, GradientDescent) else bounded()
     before = copied(solver)
-    found = solver.solve(problem, [0.2, 0], PSI)
+    found = solver.solve(problem, S0, PSI)
     for copy in (before, copied(solver)):
         assert copy == solver
-        assert_same(copy.solve(problem, [0.2, 0], PSI), found)
+        assert_same(copy.solve(problem, S0, PSI), found)
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda x: type(x).__name__)
 def test_a_hypergradient_is_pickled_before_and_after_use(method):
-    problem, before = pendulum(), copied(method)
-    seen = Demonstration([0.2, 0], [], Ipopt().solve(problem, [0.2, 0], [0.5, 0.2]).states)
-    loss, gradient, _ = method(problem, seen, PSI)
+    case, before = pendulum(), copied(method)
+    loss, gradient, _ = method(case.problem, case.demonstration, PSI)
     for copy in (before, copied(method)):
-        again = copy(problem, seen, PSI)
+        again = copy(case.problem, case.demonstration, PSI)
         assert again.loss == loss
         np.testing.assert_array_equal(again.gradient, gradient)
 
 
 def test_a_solution_is_pickled_before_and_after_it_was_differentiated():
-    problem = pendulum((-2, 2))
-    found = Riccati().solve(problem, [0.2, 0], PSI)
+    problem = bounded()
+    found = Riccati().solve(problem, S0, PSI)
     before, slopes = copied(found), (np.ones_like(found.states), np.ones_like(found.actions))
     gradients = sensitivity(problem, found).pull(*slopes)
     for copy in (before, copied(found)):
