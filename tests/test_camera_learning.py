@@ -168,7 +168,7 @@ def planar(tmp_path):
     ("axis", "theta", "missing"),
     [
         ("0 1 0", [0.6, -1.4, 0.8], []),  # bent, in the plane of the image
-        ("0 1 0", [0.0, 0.0, 0.0], ["sideways", "in a turn"]),  # stretched: a turn comes with a motion up or down
+        ("0 1 0", [0.0, 0.0, 0.0], ["sideways", "in a turn"]),  # stretched: a turn comes with a motion sideways
         ("0 0 1", [0.4, -0.4, 0.4], ["up or down", "in a turn"]),  # in a horizontal plane
     ],
 )

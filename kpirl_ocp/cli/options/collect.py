@@ -7,13 +7,14 @@ reaching: demonstrations of the robot.   hand-placing, hand-wandering: videos of
 The same command run again goes on where it was interrupted. Test data is a collection with another --seed.
 """
 
+import math
 from argparse import ArgumentParser
 
 from kpirl_ocp.cli.values import MOST_PROCESSES, one_of, real, whole
 from kpirl_ocp.sizes import LONGEST
 
 MOTIONS = ("keypoints", "sines", "placing", "reaching", "hand-placing", "hand-wandering")
-TURN = 6.2832  # [rad]
+TURN = round(math.tau, 4)  # [rad]
 SETTINGS = {  # name: type and help; each motion has its own defaults
     "rate": (whole(1, 1000), "frames per second"),
     "surroundings": (
