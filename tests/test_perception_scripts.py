@@ -173,6 +173,43 @@ WRONG = {
 }
 
 
+KEYPOINTS = "train-keypoints --data {data}/keypoints --preset tiny"
+ROBUST = "train-robust --teacher {data}/detector/rejected.json"
+DYNAMICS = "train-dynamics --detector {data}/detector/rejected.json --data {data}/sines"
+EARLY = {  # words, beginning of the sentence
+    f"{KEYPOINTS} --test {{data}}": "--test: {data}/meta.json does not exist",
+    f"{KEYPOINTS} --test {{data}}/keypoints {{data}}/keypoints": "--test: takes directories of different names, got",
+    f"{KEYPOINTS} --test {{data}}/hand-wandering": "--test: scores take two clips or more, all of one size, and",
+    f"{KEYPOINTS} --start {__file__}": f"--start: {__file__}",
+    f"{KEYPOINTS} --videos {{data}}/detector/nothing": "--videos: there is no file or directory",
+    f"{KEYPOINTS} --videos {{data}}/sines": "--videos: {data}/sines holds no video",
+    f"{KEYPOINTS} --videos {__file__}": f"--videos: {__file__}",
+    f"{KEYPOINTS} --device cdua": "--device: torch cannot use the device 'cdua'",
+    f"{ROBUST} --test {{data}}": "--test: {data}/meta.json does not exist",
+    f"{ROBUST} --device cdua": "--device: torch cannot use the device 'cdua'",
+    f"train-robust --teacher {__file__}": f"--teacher: {__file__}",
+    f"{DYNAMICS} --test {{data}}": "--test: {data}/meta.json does not exist",
+    f"{DYNAMICS} --test {{data}}/keypoints {{data}}/keypoints": "--test: takes directories of different names, got",
+    f"{DYNAMICS} --test {{data}}/hand-wandering": "--test: {data}/hand-wandering/episode_000.npz has no key",
+    f"{DYNAMICS} --test {{data}}/sines": "--ahead: must be at most 6, the steps of the shortest test, got 10.",
+    f"{DYNAMICS} --test {{data}}/sines --ahead 3 --steps 9": "--steps: must be at most 6, the steps of the longest",
+}
+
+
+@pytest.mark.parametrize("words", EARLY)
+def test_whatever_is_needed_at_the_end_is_read_before_anything_is_trained(
+    words, data, trained, tmp_path, monkeypatch, capsys
+):
+    def work(*arguments, **more):
+        raise AssertionError("work has begun")
+
+    for place in ("train_keypoints.train_detector", "train_robust.train_robust", "train_dynamics.detect_tracks"):
+        monkeypatch.setattr(f"kpirl_ocp.cli.commands.{place}", work)
+    assert run([*words.format(data=data).split(), "--out", str(tmp_path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {EARLY[words].format(data=data)}")
+
+
 @pytest.fixture(scope="module")
 def failures(data, trained, tmp_path_factory):
     """Exit code and lines on stderr of every wrong command."""

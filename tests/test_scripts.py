@@ -127,6 +127,20 @@ def test_help_says_what_the_script_is_for(script):
 
 
 @pytest.mark.parametrize("script", sorted(SOURCES.keys() - PARTS_OF_THE_PAGES))
+def test_help_imports_nothing_heavy(script):
+    code = f"""
+import runpy, sys
+sys.argv = [{str(ROOT / "scripts" / script)!r}, "--help"]
+try:
+    runpy.run_path(sys.argv[0], run_name="__main__")
+except SystemExit:
+    print(sorted({{"numpy", "casadi", "matplotlib", "pinocchio", "scipy", "torch", "tqdm"}} & set(sys.modules)))
+"""
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("script", sorted(SOURCES.keys() - PARTS_OF_THE_PAGES))
 def test_an_unknown_option_is_one_readable_line(script, tmp_path):
     result = call(script, *HELP_OF.get(script, []), "--ouput", str(tmp_path))
     assert result.returncode == 2

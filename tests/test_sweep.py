@@ -1,5 +1,6 @@
 """Sweeps of independent jobs: results are kept, resumed, never mixed, and the same on every backend."""
 
+import re
 from dataclasses import asdict
 from pathlib import Path
 
@@ -132,6 +133,14 @@ def test_a_backend_that_is_not_installed_says_how_to_get_it(sweep, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     with pytest.raises(DependencyError, match=r"pip install 'kpirl-ocp\[ray\]'"), sweep.backend("ray", None, 1):
         pass
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "tcp://127.0.0.1:1", "nonsense", "127.0.0.1:99999", "[]:x"])
+def test_an_address_at_which_nothing_listens_is_refused_at_once(address, sweep):
+    with pytest.raises(
+        ProblemError, match=re.escape(f"--address: expected HOST:PORT of a running cluster, got '{address}'")
+    ):
+        sweep.check_address(address)
 
 
 def test_an_address_without_a_cluster_is_refused(sweep):

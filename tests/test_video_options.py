@@ -18,6 +18,7 @@ from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
 from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, Weighted
 from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.hands import landmarks
 
 DETECTOR = f"--detector {shipped_model('detector')}"
@@ -61,19 +62,60 @@ def test_options_that_do_not_go_together_are_named(words, message, refused):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("--robot pnada", "no robot 'pnada': did you mean 'panda'?"),
-        ("--robot nowhere.urdf", "no URDF file"),
-        ("--flange hnad", "has no link 'hnad'; its links are: lbr_iiwa_link_0"),
+        ("--robot pnada", "--robot: example-robot-data has no robot 'pnada': did you mean 'panda'?"),
+        ("--robot nowhere.urdf", "--robot: there is no URDF file"),
+        ("--flange hnad", "--flange: the robot 'lbr_iiwa' has no link 'hnad'; its links are: lbr_iiwa_link_0"),
         ("--robot panda --flange lbr_iiwa_link_7", "has no link 'lbr_iiwa_link_7'"),
-        (f"--cost {__file__}", "test_video_options.py is not a learned cost"),
-        (f"--detector {__file__}", "test_video_options.py"),
-        (f"{DETECTOR} --dynamics {__file__}", "test_video_options.py"),
-        (f"{MODELS} --cost {__file__}", "test_video_options.py is not a cost over detected keypoints"),
-        (f"{MODELS} --recording {__file__}", "test_video_options.py"),
+        (
+            f"--cost {__file__}",
+            f"--cost: {__file__.removesuffix('test_video_options.py')}test_video_options.py is not a learned cost",
+        ),
+        (f"--tracks {__file__}", f"--tracks: {__file__}: tracks come as .npz or .csv."),
+        (f"--detector {__file__}", f"--detector: {__file__}"),
+        (f"{DETECTOR} --dynamics {__file__}", f"--dynamics: {__file__}"),
+        (f"{MODELS} --cost {__file__}", f"--cost: {__file__} is not a cost over detected keypoints"),
+        (f"{MODELS} --recording {__file__}", f"--recording: {__file__}"),
     ],
 )
 def test_arms_links_and_files_are_looked_at_first(words, message, refused):
     assert message in refused(words)
+
+
+TRACKS = {  # text of a .csv, sentence
+    "": "must have the columns point, x, y, and time or frame; visibility if it is known.",
+    "point,x,y\n1,2,3\n": "must have the columns point, x, y, and time or frame; visibility if it is known.",
+    "point,x,y,frame\n1,2,3,0\n1,3,3,1\n": "has no times: say the frame rate of the film (--source-rate).",
+    "point,x,y,time\n1,2,3,0\n": "tracks must be (n, K, 2) with n = 1 times of at least 2, got (1, 1, 2).",
+    "point,x,y,time\n1,two,3,0\n": "holds something that is no number, or too much",
+    "point,x,y,time\n1,nan,3,0\n1,3,3,1\n": "tracks hold NaN or infinity where the keypoint is visible.",
+}
+
+
+@pytest.mark.parametrize("text", TRACKS)
+def test_wrong_tracks_are_refused_first(text, refused, tmp_path):
+    (tmp_path / "tracks.csv").write_text(text)
+    sentence = refused(f"--tracks {tmp_path / 'tracks.csv'}")
+    assert sentence.startswith(f"error: --tracks: {tmp_path / 'tracks.csv'}")
+    assert TRACKS[text] in sentence
+
+
+def test_right_tracks_reach_the_film(refused, tmp_path):
+    (tmp_path / "tracks.csv").write_text("point,x,y,frame\n1,2,3,0\n1,3,3,1\n")
+    assert "no_film.mp4" in refused(f"--tracks {tmp_path / 'tracks.csv'} --source-rate 30")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--box 0,0,300,20", "--box: the box 0,0,300,20 is not inside the image of 240 x 180 pixels."),
+        ("--box 20,0,10,20", "--box: the box 20,0,10,20 is not inside"),
+        ("--points 10,10 10,-1", "--points: a clicked point is outside the image of 240 x 180 pixels."),
+    ],
+)
+def test_places_outside_the_first_frame_are_refused_before_the_rest_is_looked_at(words, message, tmp_path, capsys):
+    film = write_video(tmp_path / "film.mp4", np.zeros((3, 180, 240, 3), np.uint8), 10)  # too short for a motion
+    assert run(["learn-video", str(film), *words.split(), "--out", str(tmp_path)]) == 2
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.visual.demonstrations import robot_demonstration
 from kpirl_ocp.irl.visual.learning import InnerLoop
@@ -25,7 +26,7 @@ from reproduction.data import Data, Models
 from reproduction.outcome import Outcome, claims
 from reproduction.page import Page
 from reproduction.settings import PRESETS, Preset
-from reproduction.sweep import Job, Result, Runner, backend, run_sweep
+from reproduction.sweep import Job, Result, Runner, backend, check_address, run_sweep
 
 
 class Stages:
@@ -118,8 +119,23 @@ def with_background(
 def main(args: Namespace) -> None:
     if args.address and args.backend == "loky":
         raise OptionError("--address is for --backend dask or ray; loky runs on this machine")
+    check(args)
     with said_if_interrupted(lambda: f"finished parts are in {args.out}; the same command goes on"):
         reproduce(args)
+
+
+def check(args: Namespace) -> None:
+    """Raise OptionError for models that cannot be read, or for a cluster that does not answer."""
+    with of_option("--models"):
+        models = Models.find(args.models)
+        models.load_detector()
+        for task in ("reaching", "placing"):
+            models.load_dynamics(task)
+    if args.address not in (None, "auto"):
+        check_address(args.address)
+    if args.backend != "loky":
+        with of_option("--address"), backend(args.backend, args.address, args.jobs):
+            pass
 
 
 def reproduce(args: Namespace) -> None:

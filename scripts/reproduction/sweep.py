@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import inspect
+import socket
 import tempfile
 import zipfile
 import zlib
@@ -105,6 +106,15 @@ def backend(name: str, address: str | None, workers: int) -> Iterator[Runner]:
             if error.name not in ("dask", "distributed", "ray"):
                 raise
             raise DependencyError(f"--backend {name} needs its package: pip install 'kpirl-ocp[{name}]'.") from None
+
+
+def check_address(address: str) -> None:
+    """Raise ProblemError if nothing listens at [SCHEME://]HOST:PORT; clusters take minutes to say so."""
+    host, _, port = address.rpartition("/")[2].rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=10).close()
+    except (OSError, ValueError, OverflowError) as error:
+        raise ProblemError(f"--address: expected HOST:PORT of a running cluster, got {address!r}: {error}.") from error
 
 
 @contextlib.contextmanager

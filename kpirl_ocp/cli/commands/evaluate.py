@@ -7,6 +7,7 @@ from argparse import Namespace
 import numpy as np
 
 from kpirl_ocp import figures
+from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.episodes import Episode, read_episodes
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
@@ -19,8 +20,11 @@ from kpirl_ocp.reporting import table, write_metrics
 
 def main(args: Namespace) -> None:
     """Plan with both costs, and draw."""
-    learned, robot = LearnedCost.read(args.cost), Robot.iiwa()
-    episodes, meta = read_episodes(args.demonstrations, Episode)
+    robot = Robot.iiwa()
+    with of_option("--cost"):
+        learned = LearnedCost.read(args.cost)
+    with of_option("--demonstrations"):
+        episodes, meta = read_episodes(args.demonstrations, Episode)
     if any(episode.horizon != learned.horizon for episode in episodes):
         raise ProblemError(f"{args.cost} plans {learned.horizon} steps; {args.demonstrations} has other lengths.")
     tests = [as_demonstration(robot, episodes[index]) for index in meta.get("test", range(len(episodes)))]

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.cases.network_cases import placing_case
@@ -49,7 +50,9 @@ def network(horizon: int, seed: int) -> Exported:
 
 def learned(path: Path, seed: int) -> Exported:
     """The planning problem of a learned cost, and demonstrated starts with goals."""
-    cost, robot = LearnedCost.read(path), Robot.iiwa()
+    robot = Robot.iiwa()
+    with of_option("--cost"):
+        cost = LearnedCost.read(path)
     episodes = demonstrate(robot, "placing", EXAMPLES, seed, cost.horizon)
     shown = [as_demonstration(robot, episode) for episode in episodes]
     return Exported(cost.problem(robot), cost.psi, [(d.s0, d.context) for d in shown], cost.solver)

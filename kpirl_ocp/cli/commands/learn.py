@@ -10,6 +10,7 @@ import numpy as np
 
 from kpirl_ocp import figures
 from kpirl_ocp.cli.options.learn import TASKS
+from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.episodes import Episode, read_episodes
 from kpirl_ocp.errors import OptionError, ProblemError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost, make_basis
@@ -37,7 +38,8 @@ def load(args: Namespace, robot: Robot) -> list[Episode]:
         raise OptionError("--demonstrations and --task exclude each other: take those of a directory, or make new ones")
     if args.demonstrations is None:
         return demonstrate(robot, args.task or TASKS[0], args.train + 5, args.seed, HORIZON)
-    episodes, _ = read_episodes(args.demonstrations, Episode)
+    with of_option("--demonstrations"):
+        episodes, _ = read_episodes(args.demonstrations, Episode)
     if len(episodes) <= args.train or len({episode.horizon for episode in episodes}) > 1:
         raise ProblemError(
             f"{args.demonstrations} holds {len(episodes)} episodes; it takes {args.train} for training "

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kpirl_ocp.cli.imitation.arm import BOTTLE_LENGTH, Arm, Scale, arm_for, other_starts
-from kpirl_ocp.cli.imitation.checks import camera_cost, check
+from kpirl_ocp.cli.imitation.checks import camera_cost, check, check_places
 from kpirl_ocp.cli.imitation.drawing import draw_imitation, draw_learning, draw_paths, side_by_side
 from kpirl_ocp.cli.imitation.execution import ALLOWED, Executed, execute, shortfall
 from kpirl_ocp.cli.imitation.learned_dynamics import imitate
@@ -32,7 +32,9 @@ _SHOWN = 8  # frames of the contact sheet
 def main(args: Namespace) -> int:
     """Watch, learn, plan, execute; 1 if an execution stays more than a tenth of the way from the demonstration."""
     check(args)
-    film = Film(args.film, args.source_rate if args.film.is_dir() else None, args.start, args.end or np.inf).steadied()
+    film = Film(args.film, args.source_rate if args.film.is_dir() else None, args.start, args.end or np.inf)
+    check_places(args, film)
+    film = film.steadied()
     if film.camera:
         print(f"camera:  moves its picture by up to {film.camera.reach:.0f} pixels; steadied on the background")
     tracks, length = _watch(args, film)

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 from kpirl_ocp import figures, viewing
 from kpirl_ocp.cli.options.solve import ARM
+from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.cost_files import robot_called
 from kpirl_ocp.irl.cases.own import load_own
@@ -56,7 +57,9 @@ def bent_posture(robot: Robot) -> Array:
 
 def _solve_arm(args: Namespace) -> tuple[Solution, list[tuple[str, object]], Path]:
     vars(args).update({name: value for name, value in ARM.items() if getattr(args, name) is None})
-    robot = robot_called(args.robot, () if args.tool is None else held_object(args.tool))
+    write_rerun = viewing.write_rerun if args.rerun else None  # without its package nothing is solved
+    with of_option("--robot" if args.tool is None else f"--robot {args.robot} --tool {args.tool}"):
+        robot = robot_called(args.robot, () if args.tool is None else held_object(args.tool))
     problem = keypoint_ocp(
         robot,
         KeypointCost(Default(), effort=args.effort),
@@ -70,8 +73,8 @@ def _solve_arm(args: Namespace) -> tuple[Solution, list[tuple[str, object]], Pat
     keypoints, joints, _ = np.split(solution.states, [goal.size, goal.size + robot.n_joints], axis=1)
     distance = np.linalg.norm((keypoints - goal).reshape(args.horizon + 1, -1, 3), axis=2)
     rows = [*_audit(solution), ("distance to the goal [m]", float(distance[-1].mean()))]
-    if args.rerun:
-        viewing.write_rerun(args.out / "plan.rrd", robot, joints, _RATE, goal)
+    if write_rerun is not None:
+        write_rerun(args.out / "plan.rrd", robot, joints, _RATE, goal)
     return solution, rows, _draw_arm(solution, distance, joints, args.max_displacement, args.out / "plan.png")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -10,10 +11,11 @@ import numpy as np
 import torch
 
 from kpirl_ocp import figures
-from kpirl_ocp.cli.commands.train_keypoints import CHECKPOINT, resumable
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.cli.commands.train_keypoints import CHECKPOINT, called, resumable
+from kpirl_ocp.cli.sentences import of_option
+from kpirl_ocp.errors import OptionError
 from kpirl_ocp.perception.detector.detector import KeypointDetector
-from kpirl_ocp.perception.detector.tracks import detect_tracks
+from kpirl_ocp.perception.detector.tracks import detect_tracks, recorded_sizes
 from kpirl_ocp.perception.dynamics.augmentation import augmented
 from kpirl_ocp.perception.dynamics.training import DynamicsScores, DynamicsSettings, score_dynamics, train_dynamics
 from kpirl_ocp.reporting import table, write_metrics
@@ -48,6 +50,32 @@ def score_rows(name: str, found: DynamicsScores) -> list[list[object]]:
     return rows
 
 
+def check(args: Namespace) -> None:
+    """Raise OptionError for recordings that cannot be read, are too few or too short, or are of different arms."""
+    data, tests = sizes("--data", args.data), sizes("--test", list(called("--test", args.test).values()))
+    if len(data) < 2:
+        raise OptionError("--data: training needs at least two recordings, got 1")
+    if len(joints := {n_joints for _, n_joints in (*data, *tests)}) > 1:
+        raise OptionError(f"--data, --test: one arm is needed, got {min(joints)} and {max(joints)} joints")
+    longest, shortest = max(data)[0], min(tests)[0]
+    if args.steps is not None and args.steps > longest:
+        raise OptionError(f"--steps: must be at most {longest}, the steps of the longest recording, got {args.steps}")
+    if args.ahead > shortest:
+        raise OptionError(f"--ahead: must be at most {shortest}, the steps of the shortest test, got {args.ahead}")
+
+
+def sizes(option: str, directories: Sequence[Path]) -> list[tuple[int, int]]:
+    """T and number of joints of all recordings in directories. Raises OptionError if one holds none."""
+    found = []
+    for directory in directories:
+        with of_option(option):
+            recorded = recorded_sizes(directory)
+        if not recorded:
+            raise OptionError(f"{option}: {directory} holds no recordings")
+        found += recorded
+    return found
+
+
 def main(args: Namespace) -> None:
     """Train, score, draw."""
     torch.set_num_threads(1)
@@ -58,16 +86,15 @@ def main(args: Namespace) -> None:
 def train(args: Namespace) -> None:
     """The dynamics, scored and saved."""
     out = args.out
-    detector = KeypointDetector.load(args.detector)
+    with of_option("--detector"):
+        detector = KeypointDetector.load(args.detector)
+    check(args)
     names = ("activation", "steps", "epochs")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     settings = replace(DynamicsSettings(), **given)
     tracks = [track for directory in args.data for track in detect_tracks(detector, directory)]
     data = augmented(tracks, np.random.default_rng(args.seed)) if args.augment else tracks
-    tests = {Path(directory).name: detect_tracks(detector, directory) for directory in args.test}
-    shortest = min(len(track.actions) for held_out in tests.values() for track in held_out)
-    if not 1 <= args.ahead <= shortest:
-        raise ProblemError(f"--ahead must be from 1 to the {shortest} steps of the shortest test, got {args.ahead}.")
+    tests = {name: detect_tracks(detector, directory) for name, directory in called("--test", args.test).items()}
     model, curves = train_dynamics(data, settings, args.seed, checkpoint=out / CHECKPOINT)
     scores = {name: score_dynamics(model, held_out, args.ahead) for name, held_out in tests.items()}
 

@@ -13,13 +13,15 @@ import numpy as np
 import torch
 
 from kpirl_ocp import figures
-from kpirl_ocp.errors import TrainingError
+from kpirl_ocp.cli.sentences import of_option
+from kpirl_ocp.errors import OptionError, TrainingError
 from kpirl_ocp.perception.data.clips import read_recordings, read_videos
+from kpirl_ocp.perception.data.recordings import Recording
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.evaluation import DetectorScores, score
 from kpirl_ocp.perception.detector.track_images import contact_sheet, track_video
-from kpirl_ocp.perception.detector.training import PRESETS, train_detector
+from kpirl_ocp.perception.detector.training import PRESETS, device_called, train_detector
 from kpirl_ocp.perception.detector.verdict import faults
 from kpirl_ocp.reporting import said_if_interrupted, table, write_metrics
 from kpirl_ocp.types import Array
@@ -54,6 +56,32 @@ def resumable(checkpoint: Path) -> AbstractContextManager[None]:
     return said_if_interrupted(lambda: words if checkpoint.exists() else "")
 
 
+def called(option: str, directories: Sequence[Path]) -> dict[str, Path]:
+    """Directories by the names under which scores of them are told. Raises OptionError if two have one name."""
+    names = [directory.resolve().name for directory in directories]
+    if len(set(names)) < len(names):
+        raise OptionError(f"{option}: takes directories of different names, got {', '.join(map(str, directories))}")
+    return dict(zip(names, directories, strict=True))
+
+
+def held_out(directories: Sequence[Path]) -> dict[str, list[Recording]]:
+    """The clips of --test. Raises OptionError for fewer than two, which give no scores, or for clips of two sizes."""
+    tests = {}
+    for name, directory in called("--test", directories).items():
+        with of_option("--test"):
+            tests[name] = read_recordings(directory)
+        sizes = {clip.images.shape[1:] for clip in tests[name]}
+        if len(tests[name]) < 2 or len(sizes) > 1:
+            raise OptionError(f"--test: scores take two clips or more, all of one size, and {directory} has others")
+    return tests
+
+
+def check_device(name: str) -> None:
+    """Raise OptionError if torch has no such device."""
+    with of_option("--device"):
+        device_called(name)
+
+
 def finish(
     args: Namespace,
     settings: Mapping[str, Any],
@@ -61,19 +89,20 @@ def finish(
     card: Mapping[str, Any],
     curves: Mapping[str, Array],
     *,
+    tests: Mapping[str, list[Recording]],
     wrong: Sequence[str] = (),
     clips: Sequence[Frames] = (),
 ) -> None:
-    """Score a trained detector on --test, draw, and save it as good or rejected.
+    """Score a trained detector on tests, draw, and save it as good or rejected.
 
-    wrong: faults that are known already. clips: to judge it by where there is nothing to test on.
+    tests: held-out clips, by name. wrong: faults that are known already.
+    clips: to judge it by where there is nothing to test on.
 
     Raises TrainingError if it is not good.
     """
     out = args.out
-    tests = {Path(directory).name: read_recordings(directory) for directory in args.test}
-    wrong = [*wrong, *faults(detector, [clip.images for held_out in tests.values() for clip in held_out] or clips)]
-    scores = {name: score(detector, held_out) for name, held_out in tests.items()}
+    wrong = [*wrong, *faults(detector, [clip.images for recordings in tests.values() for clip in recordings] or clips)]
+    scores = {name: score(detector, recordings) for name, recordings in tests.items()}
     results = {
         "steps": len(curves["total"]),
         "losses": {name: float(curve[-50:].mean()) for name, curve in curves.items()},
@@ -112,14 +141,20 @@ def train(args: Namespace) -> None:
     """The detector, scored and saved."""
     settings = PRESETS[args.preset]
     settings = settings if args.steps is None else replace(settings, steps=args.steps)
-    clips = [clip.images for clip in read_recordings(args.data)]
-    others = read_videos(args.videos)
+    check_device(args.device)
+    with of_option("--start"):
+        start = KeypointDetector.load(args.start).model if args.start else None
+    with of_option("--data"):
+        clips = [clip.images for clip in read_recordings(args.data)]
+    tests = held_out(args.test)
+    with of_option("--videos"):
+        others = read_videos(args.videos)
     trained = train_detector(
         clips,
         settings,
         args.seed,
         others=others,
-        start=KeypointDetector.load(args.start).model if args.start else None,
+        start=start,
         checkpoint=args.out / CHECKPOINT,
         device=args.device,
     )
@@ -130,4 +165,4 @@ def train(args: Namespace) -> None:
         wrong = [str(error).rstrip(".")]
 
     card = {"training": {"preset": args.preset, "seed": args.seed, "clips": len(clips), "videos": len(others)}}
-    finish(args, asdict(settings), detector, card, trained.curves, wrong=wrong, clips=[*clips, *others])
+    finish(args, asdict(settings), detector, card, trained.curves, tests=tests, wrong=wrong, clips=[*clips, *others])

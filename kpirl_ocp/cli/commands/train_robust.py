@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from kpirl_ocp.cli.commands.train_keypoints import CHECKPOINT, finish, resumable
+from kpirl_ocp.cli.commands.train_keypoints import CHECKPOINT, check_device, finish, held_out, resumable
+from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.perception.data.motions import HandPlacing, HandWandering, LastJoint, Motion, Placing, Sines
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.robust import RobustSettings, train_robust
@@ -44,8 +45,12 @@ def main(args: Namespace) -> None:
 def train(args: Namespace) -> None:
     """The detector, scored and saved."""
     settings = RobustSettings(steps=args.steps, batch=args.batch)
+    check_device(args.device)
+    with of_option("--teacher"):
+        teacher = KeypointDetector.load(args.teacher)
+    tests = held_out(args.test)
     detector, curves = train_robust(
-        KeypointDetector.load(args.teacher),
+        teacher,
         rendered(args.clips, args.seed),
         settings,
         args.seed,
@@ -55,4 +60,4 @@ def train(args: Namespace) -> None:
     card = {"training": {"seed": args.seed, "clips": args.clips, **asdict(settings)}}
     films = (motion.film(np.random.default_rng([args.seed, 0])) for motion, _ in RENDERED)
     clips = [] if args.test else [np.array([frame.rgb for frame in film]) for film in films]
-    finish(args, asdict(settings), detector, card, curves, clips=clips)
+    finish(args, asdict(settings), detector, card, curves, tests=tests, clips=clips)

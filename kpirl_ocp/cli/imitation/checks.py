@@ -6,10 +6,14 @@ from argparse import Namespace
 from pathlib import Path
 
 from kpirl_ocp.cli.imitation import learned_dynamics
+from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost, robot_called
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.hands.landmarks import check_hands
+from kpirl_ocp.perception.tracking.objects import check_box, check_points
+from kpirl_ocp.perception.tracking.tracks import read_tracks
+from kpirl_ocp.perception.tracking.watch import LONGEST, Film
 
 
 def check(args: Namespace) -> None:
@@ -17,17 +21,32 @@ def check(args: Namespace) -> None:
     _together(args)
     if args.hand:
         check_hands()
+    if args.tracks:
+        with of_option("--tracks"):
+            read_tracks(args.tracks, rate=args.source_rate, size=(LONGEST, LONGEST))
     if args.detector:
-        KeypointDetector.load(args.detector)
+        with of_option("--detector"):
+            KeypointDetector.load(args.detector)
     if args.dynamics:
         learned_dynamics.check(args)
     else:
         _arm_and_cost(args)
 
 
+def check_places(args: Namespace, film: Film) -> None:
+    """Raise OptionError if --box or --points are not in the film's first frame."""
+    if args.box:
+        with of_option("--box"):
+            check_box(film.first(), args.box)
+    if args.points:
+        with of_option("--points"):
+            check_points(film.first(), args.points)
+
+
 def camera_cost(path: Path, robot: str, steps: int) -> LearnedCost:
     """The cost of a file, in a camera's image. Raises OptionError if it is for another robot or number of steps."""
-    learned = LearnedCost.read(path)
+    with of_option("--cost"):
+        learned = LearnedCost.read(path)
     if learned.setting.camera is None:
         raise OptionError(f"--cost: {path} is for keypoints in space; a film needs keypoints in a camera's image")
     if learned.horizon != steps:
@@ -54,8 +73,10 @@ def _together(args: Namespace) -> None:
 
 def _arm_and_cost(args: Namespace) -> None:
     name = args.robot or "iiwa"
-    robot = robot_called(name)
+    with of_option("--robot"):
+        robot = robot_called(name)
     if args.flange:
-        robot.frame_id(args.flange)
+        with of_option("--flange"):
+            robot.frame_id(args.flange)
     if args.cost:
         camera_cost(args.cost, name, args.steps)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from kpirl_ocp import figures
+from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.episodes import KeypointTrack, stored, write_episode
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.cost_files import robot_called
@@ -68,11 +69,14 @@ class Plan:
 
 def check(args: Namespace) -> None:
     """Raise the error of the dynamics, recording, robot or cost that does not fit the others."""
-    dynamics = _dynamics(args)
-    _rate(dynamics)
-    _limits(args, dynamics)
+    with of_option("--dynamics"):
+        dynamics = _dynamics(args)
+        _rate(dynamics)
+    with of_option("--robot"):
+        _limits(args, dynamics)
     if args.recording:
-        read_arm_film(args.recording)
+        with of_option("--recording"):
+            read_arm_film(args.recording)
     if args.cost:
         _known_cost(args, dynamics)
 
@@ -129,7 +133,8 @@ def _cost(
 
 def _known_cost(args: Namespace, dynamics: NetworkDynamics) -> PlanningCost:
     """That of --cost. Raises OptionError if it is for another number of steps or another robot."""
-    cost = read_planning_cost(args.cost, dynamics)
+    with of_option("--cost"):
+        cost = read_planning_cost(args.cost, dynamics)
     if cost.horizon != args.steps:
         raise OptionError(f"--cost: {args.cost} has T = {cost.horizon}, --steps says {args.steps}")
     if args.robot and cost.limits and cost.limits.robot != args.robot:

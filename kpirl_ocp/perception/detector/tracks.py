@@ -15,6 +15,13 @@ from kpirl_ocp.perception.tracking.tracks import Tracks
 from kpirl_ocp.perception.tracking.watch import Film
 
 
+def recorded_sizes(directory: Path) -> list[tuple[int, int]]:
+    """T and number of joints of all recordings of a robot in a directory. Raises EpisodeError as `detect_tracks`."""
+    count = read_meta(directory)["episodes"]
+    films = (read_arm_film(episode_path(directory, index)) for index in range(count))
+    return [film.actions.shape for film in films]
+
+
 def detect_tracks(detector: KeypointDetector, directory: str | Path) -> list[ArmTrack]:
     """The keypoints of all recordings of a robot in a directory, one recording in memory at a time.
 

@@ -29,13 +29,8 @@ def in_box(image: Frames, box: ArrayLike) -> Mask:
 
     Raises DemonstrationError if the box is not inside the image, or nothing in it differs from its surroundings.
     """
-    left, top, right, bottom = (round(float(side)) for side in np.asarray(box, float))
-    height, width = image.shape[:2]
-    if not (0 <= left < right <= width and 0 <= top < bottom <= height):
-        raise DemonstrationError(
-            f"the box {left},{top},{right},{bottom} is not inside the image of {width} x {height} pixels."
-        )
-    labels = np.full((height, width), cv2.GC_BGD, np.uint8)
+    left, top, right, bottom = check_box(image, box)
+    labels = np.full(image.shape[:2], cv2.GC_BGD, np.uint8)
     labels[top:bottom, left:right] = cv2.GC_PR_FGD
     return _cut(image, labels)
 
@@ -45,17 +40,34 @@ def around(image: Frames, points: ArrayLike) -> Mask:
 
     Raises DemonstrationError for points outside the image, or if the object's colours are those around it.
     """
-    clicks = np.atleast_2d(np.asarray(points, float))
-    height, width = image.shape[:2]
-    if not np.all((clicks >= 0) & (clicks < [width, height])):
-        raise DemonstrationError(f"a clicked point is outside the image of {width} x {height} pixels.")
-    labels = np.full((height, width), cv2.GC_BGD, np.uint8)
-    side = max(height, width)
+    clicks = check_points(image, points)
+    labels = np.full(image.shape[:2], cv2.GC_BGD, np.uint8)
+    side = max(image.shape)
     _mark(labels, clicks, round(_REACH * side), cv2.GC_PR_FGD)
     if len(clicks) > 2:
         cv2.fillConvexPoly(labels, cv2.convexHull(clicks.astype(np.int32)), cv2.GC_PR_FGD)
     _mark(labels, clicks, max(2, round(_CLICK * side)), cv2.GC_FGD)
     return _cut(image, labels)
+
+
+def check_box(image: Frames, box: ArrayLike) -> tuple[int, int, int, int]:
+    """The sides (left, top, right, bottom) [pixels] of a box. Raises DemonstrationError if it leaves the image."""
+    left, top, right, bottom = (round(float(side)) for side in np.asarray(box, float))
+    height, width = image.shape[:2]
+    if not (0 <= left < right <= width and 0 <= top < bottom <= height):
+        raise DemonstrationError(
+            f"the box {left},{top},{right},{bottom} is not inside the image of {width} x {height} pixels."
+        )
+    return left, top, right, bottom
+
+
+def check_points(image: Frames, points: ArrayLike) -> Array:
+    """The points (n, 2) [pixels]. Raises DemonstrationError if one is outside the image."""
+    clicks = np.atleast_2d(np.asarray(points, float))
+    height, width = image.shape[:2]
+    if not np.all((clicks >= 0) & (clicks < [width, height])):
+        raise DemonstrationError(f"a clicked point is outside the image of {width} x {height} pixels.")
+    return clicks
 
 
 def moving(frames: Iterable[tuple[float, Frames]], hidden: Mask | None = None) -> Mask:

@@ -140,7 +140,7 @@ def read_tracks(path: str | Path, *, rate: float | None = None, size: tuple[int,
         raise FileError(f"{path}: tracks come as .npz or .csv.")
     if times is None:
         if rate is None:
-            raise FileError(f"{path} has no times: say the frame rate of the film.")
+            raise FileError(f"{path} has no times: say the frame rate of the film (--source-rate).")
         times = np.arange(len(positions)) / rate
     if known is None:
         width, height = np.ceil(np.nanmax(positions, axis=(0, 1))).astype(int).tolist()

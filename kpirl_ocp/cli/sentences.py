@@ -1,0 +1,18 @@
+"""Errors of files and values, with the option that brought them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from kpirl_ocp.errors import KpirlError, OptionError
+
+
+@contextlib.contextmanager
+def of_option(name: str) -> Iterator[None]:
+    """A block that reads what one option names; its errors become OptionErrors that begin with an option."""
+    try:
+        yield
+    except (KpirlError, OSError) as error:
+        words = str(error)
+        raise OptionError(words if words.startswith("--") else f"{name}: {words}") from error
