@@ -76,6 +76,20 @@ def test_many_gradients_are_those_of_single_solutions(threads):
         assert gradients.certificate.evidence() == single.certificate.evidence()
 
 
+def test_a_slope_without_numbers_leaves_the_other_gradients_alone():
+    problem, solutions = CASE.problem, solve_many(CASE.problem, STARTS[:3], CASE.psi, CASE.demonstration.context)
+    by_states, by_actions = (np.ones((3, *getattr(solutions[0], name).shape)) for name in ("states", "actions"))
+    whole = pull_many(problem, solutions, by_states, by_actions)
+    by_states[1, 2] = np.nan
+    found = pull_many(problem, solutions, by_states, by_actions, "flag", threads=1)
+    assert [gradients.certificate.certified for gradients in found] == [True, False, True]
+    assert all(np.isnan(part).all() for part in (found[1].psi, found[1].s0, found[1].context))
+    for i in (0, 2):
+        np.testing.assert_array_equal(found[i].psi, whole[i].psi)
+    with pytest.raises(CertificateError, match="NaN or infinite"):
+        pull_many(problem, solutions, by_states, by_actions)
+
+
 def test_many_gradients_need_slopes_for_every_solution_and_certificates():
     problem, solutions = CASE.problem, solve_many(CASE.problem, STARTS[:2], CASE.psi, CASE.demonstration.context)
     slopes = [np.ones((2, *getattr(solutions[0], name).shape)) for name in ("states", "actions")]

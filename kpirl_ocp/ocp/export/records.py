@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.ocp.codegen.templates import LICENCE, PREFIX
 from kpirl_ocp.ocp.export.constants import numbers
-from kpirl_ocp.ocp.interior_point import core
+from kpirl_ocp.ocp.interior_point import results
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.types import Array, Solution, Status
 
-STATUS = core.STATUS | {7: Status.FAILED, 8: Status.ITERATION_LIMIT}
+STATUS = results.STATUS | {7: Status.FAILED, 8: Status.ITERATION_LIMIT}
 """Values of the C enum kpirl_mpc_status that a solve ends with; 8 is that of the time limit."""
 _CODES = {status: code for code, status in reversed(STATUS.items())}
 

@@ -17,28 +17,17 @@ from kpirl_ocp.ocp.codegen.numpy_calls import Build
 from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachine, pointer_to
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare, prepare_function
+from kpirl_ocp.ocp.interior_point.results import Results
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
-from kpirl_ocp.ocp.problem.layout import by_stage, split
+from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, StageValues, check_guess
-from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
+from kpirl_ocp.ocp.problem.solver import Given, Guess, StageDerivatives, StageValues, check_guess
+from kpirl_ocp.types import Array, Multipliers, Solution
 
 _OTHERS = 32  # things that a core keeps besides its functions
 _EVALUATIONS = 5  # of every stage that a use of such a function makes
 
 T = TypeVar("T")
-STATUS = {
-    0: Status.CONVERGED,
-    1: Status.STEPS_TAKEN,
-    2: Status.ITERATION_LIMIT,
-    3: Status.INFEASIBLE,
-    4: Status.STALLED,
-    5: Status.DIVERGED,
-    6: Status.NOT_FINITE,
-    10: Status.NOT_A_MINIMUM,
-    11: Status.ACCEPTABLE,
-}
-"""Values of the C enum kpirl_mpc_status that a solve ends with."""
 
 
 class Core:
@@ -57,7 +46,8 @@ class Core:
         self._core = self._library.kpirl_mpc_core_init(*given, ctypes.c_void_p(self._memory.ctypes.data))
         self._n_w = self._library.kpirl_mpc_n_point(self._core)
         self._schedule = np.ascontiguousarray(problem.schedule, float)
-        self._residuals, self._view = c.Residuals(), c.View()
+        self._results = Results(problem, self._n_w)
+        self._view = c.View()
         self._wish: Compile = "auto"
         self._evaluations = 0
         self._others: OrderedDict[Any, Any] = OrderedDict()
@@ -95,25 +85,30 @@ class Core:
                 pointer.take(code)
         return pointer.address
 
-    def solve(self, options: Any, wish: Compile, s0: Array, psi: Array, context: Array, guess: Guess) -> Solution:
-        """Solve with settings `library.Options`; the GIL is released meanwhile."""
+    def solve(self, options: Any, wish: Compile, given: Sequence[Given]) -> list[Solution]:
+        """Solve for each of several numbers with settings `library.Options`; the GIL is released meanwhile."""
         self._wish, code = wish, prepare(self.problem, wish, self._evaluations)
         if code is not self._code:
             self._code = code
             self._model = self._make_model()
             self._library.kpirl_mpc_core_set_model(self._core, ctypes.addressof(self._model))
-        kept = [np.require(array, float, ("C", "A")) for array in (s0, psi, context)]
-        numbers = c.Numbers(*map(c.address_of, kept), c.address_of(self._schedule))
-        arrays = [np.require(array, float, ("C", "A")) for array in self._start(guess)]
-        start = c.Start(*map(c.address_of, arrays))
-        given = (ctypes.addressof(x) for x in (numbers, options, start, self._residuals))
-        status = self._library.kpirl_mpc_core_solve(self._core, *given)
-        solution = self._solution(STATUS[status], options.barrier, psi, context)
-        self._evaluations += 2 * (solution.iterations + 1) * self.problem.horizon
-        return solution
+        kept = [[np.require(array, float, ("C", "A")) for array in numbers] for *numbers, _ in given]
+        begun = [[np.require(array, float, ("C", "A")) for array in self._start(guess)] for *_, guess in given]
+        found = [self._results.empty() for _ in given]
+        arrays = (
+            _array(c.Numbers, [(*map(c.address_of, numbers), c.address_of(self._schedule)) for numbers in kept]),
+            options,
+            _array(c.Start, [tuple(map(c.address_of, start)) for start in begun]),
+            results := _array(c.Result, [self._results.places(values) for values in found]),
+        )
+        self._library.kpirl_mpc_solve_each(self._core, len(given), *map(ctypes.addressof, arrays))
+        self._evaluations += sum(2 * (result.iterations + 1) * self.problem.horizon for result in results)
+        read = zip(given, found, results, strict=True)
+        return [self._results.solution(*each, options.barrier) for each in read]
 
     def derivatives(self) -> StageDerivatives | None:
         """At the last solution; None if the solve ended without them."""
+        self._library.kpirl_mpc_core_view(self._core, ctypes.addressof(self._view))
         if not self._view.matrices:
             return None
         gradient = np.empty(self._n_w)
@@ -216,46 +211,10 @@ class Core:
             arrays += [np.concatenate([path.ravel(), last]) for path, last in rows]
         return arrays
 
-    def _solution(self, status: Status, barrier: float, psi: Array, context: Array) -> Solution:
-        view, r = self._view, self._residuals
-        self._library.kpirl_mpc_core_view(self._core, ctypes.addressof(view))
-        T, n_s, n_u = self.problem.horizon, self.problem.n_states, self.problem.n_actions
-        return Solution(
-            psi=psi,
-            context=context,
-            trajectory=Trajectory(*split(c.read(view.x, self._n_w), T, n_s, n_u)),
-            multipliers=self._multipliers(),
-            objective=view.objective,
-            residuals=KKTResiduals(r.stationarity, r.feasibility, r.complementarity, 0.0, r.scale),
-            status=status,
-            iterations=view.iterations,
-            barrier=barrier,
-        )
 
-    def _multipliers(self) -> Multipliers:
-        problem, view = self.problem, self._view
-        T, n_s, n_u, n_h, n_e = (
-            problem.horizon,
-            problem.n_states,
-            problem.n_actions,
-            problem.n_path,
-            problem.n_path_equality,
-        )
-        net = np.empty(self._n_w)
-        self._library.kpirl_mpc_bound_multipliers(self._core, c.address_of(net))
-        state, action = split(net, T, n_s, n_u)
-        state[0, ~problem.free_start] = 0
-        path = c.read(view.path_multipliers, T * n_h + problem.n_terminal)
-        equality = c.read(view.equality_multipliers, T * n_e + problem.n_terminal_equality)
-        return Multipliers(
-            dynamics=c.read(view.costates, T * n_s).reshape(T, n_s),
-            state=state,
-            action=action,
-            path=path[: T * n_h].reshape(T, n_h),
-            path_equality=equality[: T * n_e].reshape(T, n_e),
-            terminal=path[T * n_h :],
-            terminal_equality=equality[T * n_e :],
-        )
+def _array(kind: type[ctypes.Structure], members: Sequence[tuple[Any, ...]]) -> Any:
+    """An array of structures."""
+    return (kind * len(members))(*(kind(*each) for each in members))
 
 
 def dimensions_of(problem: OCP) -> Any:

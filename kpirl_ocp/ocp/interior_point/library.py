@@ -85,6 +85,14 @@ View = _structure(
     matrices=INT,
 )
 Residuals = _structure("Residuals", stationarity=REAL, feasibility=REAL, complementarity=REAL, scale=REAL)
+Result = _structure(
+    "Result",
+    **dict.fromkeys(("x", "costates", "bounds", "path", "equality"), POINTER),
+    residuals=Residuals,
+    objective=REAL,
+    iterations=INT,
+    status=INT,
+)
 Iteration = _structure(
     "Iteration",
     iteration=INT,
@@ -174,6 +182,8 @@ SolutionArrays = _structure(
     **dict.fromkeys(("path", "terminal", "equality", "terminal_equality"), POINTER),
 )
 ByParameters = _structure("ByParameters", psi=POINTER, s0=POINTER, context=POINTER)
+Question = _structure("Question", numbers=Numbers, solution=SolutionArrays, slope=POINTER, barrier=REAL)
+Answer = _structure("Answer", gradients=ByParameters, evidence=Evidence, active=POINTER, finite=INT)
 _OF_SYSTEMS = {
     "rows_times": 3,
     "rows_push": 3,
@@ -239,7 +249,8 @@ def address_of(array: NDArray[Any]) -> int:
 def _layout() -> int:
     """The sizes of all structures that cross over."""
     crossing = (Dimensions, Model, Bounds, Numbers, Options, Start, View, Residuals, Iteration)
-    kinds = (*crossing, Buffered, CompiledFunction, System, Triple, Rows, KKT, Evidence, ByParameters, SolutionArrays)
+    functions, systems = (Buffered, CompiledFunction), (System, Triple, Rows, KKT)
+    kinds = (*crossing, *functions, *systems, Evidence, ByParameters, SolutionArrays, Result, Question, Answer)
     return sum((i + 1) * ctypes.sizeof(kind) for i, kind in enumerate(kinds))
 
 
@@ -269,17 +280,19 @@ def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
     core.kpirl_mpc_count_core.argtypes = [POINTER] * 4
     core.kpirl_mpc_core_size.restype = ctypes.c_size_t
     core.kpirl_mpc_core_init.restype = POINTER
-    core.kpirl_mpc_core_solve.restype = INT
     for name in ("n_point", "n_inequalities", "n_equalities"):
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER]
-    core.kpirl_mpc_core_solve.argtypes = [POINTER] * 5
+    core.kpirl_mpc_solve_each.argtypes = [POINTER, INT, *[POINTER] * 4]
+    core.kpirl_mpc_solve_each.restype = None
     core.kpirl_mpc_core_set_model.argtypes = [POINTER] * 2
     core.kpirl_mpc_core_evaluate_at.argtypes = [POINTER, POINTER, POINTER, INT]
     core.kpirl_mpc_core_gradient.argtypes = [POINTER] * 2
     for name, count in _OF_SYSTEMS.items():
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER] * count
+    core.kpirl_mpc_certify_each.argtypes = [*[POINTER] * 4, INT, *[POINTER] * 2]
+    core.kpirl_mpc_certify_each.restype = None
     for name in ("kkt_solve", "kkt_adjoint", "kkt_change", "kink_in_parameters", "kink_of_loss"):
         getattr(core, f"kpirl_mpc_{name}").restype = REAL
     core.kpirl_mpc_kkt_init.restype = ctypes.c_size_t
-    core.kpirl_mpc_core_view.argtypes = core.kpirl_mpc_bound_multipliers.argtypes = [POINTER] * 2
+    core.kpirl_mpc_core_view.argtypes = [POINTER] * 2
     return core

@@ -110,8 +110,9 @@ def by_stage(states: Array, actions: Array) -> Array:
 
 def split(x: Array, steps: int, n_s: int, n_u: int) -> tuple[Array, Array]:
     """States (T+1, n_s) and actions (T, n_u) of `by_stage`."""
-    rows = x[: steps * (n_s + n_u)].reshape(steps, n_s + n_u)
-    return np.vstack([rows[:, :n_s], x[steps * (n_s + n_u) :]]), rows[:, n_s:].copy()
+    rows, states = x[: steps * (n_s + n_u)].reshape(steps, n_s + n_u), np.empty((steps + 1, n_s))
+    states[:-1], states[-1] = rows[:, :n_s], x[steps * (n_s + n_u) :]
+    return states, rows[:, n_s:].copy()
 
 
 def _spread(values: Array, live: Mask) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -14,6 +15,8 @@ from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.types import Array, Solution, Trajectory
 
 Guess = Solution | Trajectory | None
+Given = tuple[Array, Array, Array, Guess]
+"""s0 (n_s,), psi (n_psi,), the context (n_c,) and a guess, for one solve."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +70,15 @@ class BarrierSolver(Solver, Protocol):
 
     def with_barrier(self, barrier: float) -> BarrierSolver:
         """This solver for the problem smoothed with tau = barrier > 0."""
+        ...
+
+
+@runtime_checkable
+class BatchSolver(Solver, Protocol):
+    """A solver that solves several in one call, in which other threads may run."""
+
+    def solve_each(self, problem: OCP, given: Sequence[Given]) -> list[Solution]:
+        """`solve` for each of several numbers, which fit the problem: those of `OCP.inputs`."""
         ...
 
 

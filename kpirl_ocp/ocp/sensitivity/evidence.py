@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,12 @@ def measure(
     systems, ends = (system.address, nearby.address), (ctypes.addressof(structure), ctypes.addressof(evidence))
     function = core.function(parameter_derivatives.pull)
     core.library.kpirl_mpc_certify(*systems, core.address, function, c.address_of(slope), along, *ends)
-    return found, {name: float(getattr(evidence, name)) for name, *_ in evidence._fields_}
+    return found, fields_of(evidence)
+
+
+def fields_of(evidence: Any) -> dict[str, float]:
+    """The structure `kpirl_mpc_evidence` by the names of a `SensitivityCertificate`."""
+    return {name: float(getattr(evidence, name)) for name, *_ in evidence._fields_}
 
 
 def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:

@@ -22,14 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.interior_point import library as c
-from kpirl_ocp.ocp.interior_point.core import Core, check_multipliers
+from kpirl_ocp.ocp.interior_point.core import Core
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives, StageValues
 from kpirl_ocp.ocp.sensitivity.rows import Rows, rows_of
-from kpirl_ocp.types import Array, Mask, Solution, floats
+from kpirl_ocp.ocp.sensitivity.solution_arrays import check_solution, solution_arrays, structure_of
+from kpirl_ocp.types import Array, Mask, Solution
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,12 @@ class Instance:
     def rows(self) -> Rows:
         """The constraints but the dynamics."""
         return rows_of(self.problem)
+
+    @property
+    def numbers(self) -> list[Array]:
+        """The arrays that the structure `kpirl_mpc_numbers` shows, in its order."""
+        given = self.s0, self.psi, self.context, self.problem.schedule
+        return [np.ascontiguousarray(array, float) for array in given]
 
     def values(self, point: PrimalDual) -> StageValues:
         """Constraints and the gradient of the Lagrangian at a point."""
@@ -99,8 +105,7 @@ class KKTSystem:
         """A system without a point, in memory of its own or in given memory."""
         self.instance, self._memory, self._library = instance, memory or Memory(instance.problem), c.library()
         self.structure, self.address, self.finite = self._memory.structure, self._memory.address, False
-        numbers = instance.s0, instance.psi, instance.context, instance.problem.schedule
-        self._numbers = [np.ascontiguousarray(array, float) for array in numbers]
+        self._numbers = instance.numbers
         self.structure.numbers = c.Numbers(*map(c.address_of, self._numbers))
         self.structure.barrier = instance.barrier
         self._kept: Any = None
@@ -149,7 +154,8 @@ class KKTSystem:
 
         Derivatives that are not known are found by a core.
         """
-        arrays, _kept = _arrays_of(solution)
+        kept = solution_arrays(solution)
+        arrays = structure_of(kept)
         known = None
         if derivatives is not None:
             view, self._kept = _view_of(derivatives)
@@ -247,26 +253,6 @@ class Triple:
         return PrimalDual(*self._kept[:3])
 
 
-def check_solution(problem: OCP, solution: Solution) -> None:
-    """Raise ProblemError when the arrays of a solution do not fit the problem."""
-    steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
-    shapes = {"states": (steps + 1, n_s), "actions": (steps, n_u)}
-    for name, shape in shapes.items():
-        given = floats(f"the solution's {name}", getattr(solution, name)).shape
-        if given != shape:
-            raise ProblemError(f"the solution's {name} must be {shape}, got {given}: it is of another problem.")
-    check_multipliers(problem, solution.multipliers, "solution")
-
-
-def _arrays_of(solution: Solution) -> tuple[Any, list[Array]]:
-    """The structure `kpirl_mpc_solution`, and what must be kept as long."""
-    m = solution.multipliers
-    parts = [solution.states, solution.actions, m.dynamics, m.state, m.action]
-    parts += [m.path, m.terminal, m.path_equality, m.terminal_equality]
-    arrays = [np.ascontiguousarray(part, float) for part in parts]
-    return c.SolutionArrays(*map(c.address_of, arrays)), arrays
-
-
 def _view_of(derivatives: StageDerivatives) -> tuple[Any, list[Array]]:
     """The structure `kpirl_mpc_view`, and what must be kept as long."""
     names = ("defects", "path", "equality", "gradient", "F", "G", "E", "H")
@@ -277,7 +263,8 @@ def _view_of(derivatives: StageDerivatives) -> tuple[Any, list[Array]]:
 
 def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
     """The point of a solution."""
-    system, (arrays, _kept) = KKTSystem(instance), _arrays_of(solution)
+    system, kept = KKTSystem(instance), solution_arrays(solution)
+    arrays = structure_of(kept)
     c.library().kpirl_mpc_kkt_stand(system.address, ctypes.addressof(arrays))
     return system.point
 

@@ -33,7 +33,8 @@ from kpirl_ocp.ocp.sensitivity.certificate import (
 from kpirl_ocp.ocp.sensitivity.evidence import measure
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, Memory, check_solution
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, Memory
+from kpirl_ocp.ocp.sensitivity.solution_arrays import check_solution
 from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Solution
 
@@ -46,6 +47,20 @@ class Gradients(Brief):
     s0: Array
     context: Array
     certificate: SensitivityCertificate
+
+    @classmethod
+    def of_plan(cls, problem: OCP, slope: Array, found: ByParameters, certificate: SensitivityCertificate) -> Gradients:
+        """From those by way of the other states and actions: `slope` (n_w,) holds the one by s_0 itself."""
+        s0 = np.where(problem.free_start, 0.0, slope[: problem.n_states] + found.s0)
+        return cls(found.psi, s0, found.context, certificate)
+
+    @classmethod
+    def undefined(cls, problem: OCP, certificate: SensitivityCertificate) -> Gradients:
+        """NaN."""
+        psi, s0, context = (
+            np.full(size, np.nan) for size in (problem.n_parameters, problem.n_states, problem.n_context)
+        )
+        return cls(psi, s0, context, certificate)
 
 
 @dataclass(frozen=True, repr=False)
@@ -113,12 +128,10 @@ class Sensitivity:
         with borrow_core(self.problem) as core:
             at = self._linearised(core)
             if not (at.system.finite and np.isfinite(slope).all()):
-                psi, s0, context = (np.full(size, np.nan) for size in self._sizes)
-                return Gradients(psi, s0, context, self._undefined(at))
+                return Gradients.undefined(self.problem, self._undefined(at))
             found, evidence = measure(core, at.system, at.nearby, slope)
             certificate = self._certificate(at, evidence)
-        s0 = np.where(self.problem.free_start, 0.0, slope[: self.problem.n_states] + found.s0)
-        return Gradients(found.psi, s0, found.context, certificate)
+        return Gradients.of_plan(self.problem, slope, found, certificate)
 
     def push(
         self, psi: ArrayLike | None = None, s0: ArrayLike | None = None, context: ArrayLike | None = None
@@ -154,27 +167,27 @@ class Sensitivity:
         """Lengths of psi, s_0 and the context."""
         return self.problem.n_parameters, self.problem.n_states, self.problem.n_context
 
-    def _linearised(self, core: Core) -> _Workspace:
+    def _linearised(self, core: Core) -> Workspace:
         """The workspace of a core, with the KKT system of this solution in it."""
-        at = core.kept(_Workspace)
+        at = core.kept(Workspace)
         if at.owner() is not self:
             at.system = KKTSystem(self._instance, at.here)
             at.system.linearise_at(self.solution, core, self._derivatives)
             at.owner = weakref.ref(self)
         return at
 
-    def _undefined(self, at: _Workspace) -> SensitivityCertificate:
+    def _undefined(self, at: Workspace) -> SensitivityCertificate:
         certificate = undefined(self.solution, at.system.active)
         require(self.policy, certificate)
         return certificate
 
-    def _certificate(self, at: _Workspace, evidence: Mapping[str, float]) -> SensitivityCertificate:
+    def _certificate(self, at: Workspace, evidence: Mapping[str, float]) -> SensitivityCertificate:
         certificate = certified(self.solution, at.system.active, evidence)
         require(self.policy, certificate)
         return certificate
 
 
-class _Workspace:
+class Workspace:
     """Memory for the KKT system at a solution of a problem, and for the one nearby.
 
     owner: the `Sensitivity` whose solution it is.
@@ -184,4 +197,8 @@ class _Workspace:
 
     def __init__(self, problem: OCP) -> None:
         self.here, self.nearby = Memory(problem), Memory(problem)
+        self.leave()
+
+    def leave(self) -> None:
+        """Belong to nobody."""
         self.owner: Callable[[], Sensitivity | None] = lambda: None

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,13 +14,16 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess, Solver
-from kpirl_ocp.ocp.sensitivity.certificate import Policy
-from kpirl_ocp.ocp.sensitivity.solution_sensitivity import Gradients, sensitivity
+from kpirl_ocp.ocp.problem.solver import BatchSolver, Given, Guess, Solver
+from kpirl_ocp.ocp.sensitivity.certificate import Policy, check_policy
+from kpirl_ocp.ocp.sensitivity.pulls import pull_each
+from kpirl_ocp.ocp.sensitivity.solution_sensitivity import Gradients
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, Solution
 
+Q = TypeVar("Q")
 R = TypeVar("R")
+_GROUP = 8  # solves of one call into C, during which an interrupt has to wait
 
 
 def solve_many(
@@ -57,7 +61,8 @@ def solve_many(
         raise ProblemError(f"solve_many needs as many of everything, got {counts}.")
     count = next(iter(counts.values()), 1)
     columns = [np.broadcast_to(array, (count, array.shape[-1])) for array in arrays.values()]
-    return side_by_side(partial(solver.solve, problem), *columns, guesses or [None] * count, threads=threads)
+    rows = list(zip(*columns, guesses or [None] * count, strict=True))
+    return in_groups(partial(_solve_each, problem, solver), rows, threads)
 
 
 def pull_many(
@@ -91,10 +96,25 @@ def pull_many(
         given = {"solutions": len(solutions), "by_states": len(states), "by_actions": len(actions)}
         raise ProblemError(f"pull_many needs as many of everything, got {given}.")
 
-    def pull(solution: Solution, state_slopes: Array, action_slopes: Array) -> Gradients:
-        return sensitivity(problem, solution, policy).pull(state_slopes, action_slopes)
+    check_policy(policy, ("raise", "flag"))
+    rows = list(zip(solutions, states, actions, strict=True))
+    return in_groups(partial(pull_each, problem, policy=policy), rows, threads)
 
-    return side_by_side(pull, solutions, states, actions, threads=threads)
+
+def _solve_each(problem: OCP, solver: Solver, rows: Sequence[Given]) -> list[Solution]:
+    if not isinstance(solver, BatchSolver):
+        return [solver.solve(problem, *row) for row in rows]
+    return solver.solve_each(problem, [(*problem.inputs(*numbers), guess) for *numbers, guess in rows])
+
+
+def in_groups(function: Callable[[Sequence[Q]], list[R]], given: Sequence[Q], threads: int | None) -> list[R]:
+    """`function(given)`, which has one result for each, in groups that threads share; the order stays.
+
+    One call into C does the work of a group: each return from C waits for the interpreter's lock.
+    """
+    size = max(1, min(_GROUP, len(given) // (threads or os.cpu_count() or 1)))
+    groups = [given[i : i + size] for i in range(0, len(given), size)]
+    return list(chain.from_iterable(side_by_side(function, groups, threads=threads)))
 
 
 def side_by_side(function: Callable[..., R], *columns: Iterable[Any], threads: int | None = None) -> list[R]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,11 +20,10 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.interior_point import library as c
-from kpirl_ocp.ocp.interior_point.core import Core
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.interior_point.machine_code import Compile
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives
+from kpirl_ocp.ocp.problem.solver import Given, Guess, StageDerivatives
 from kpirl_ocp.types import Solution
 
 
@@ -68,18 +68,20 @@ class Riccati:
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
+        return self.solve_each(problem, [(*problem.inputs(s0, psi, context), guess)])[0]
+
+    def solve_each(self, problem: OCP, given: Sequence[Given]) -> list[Solution]:
+        """`solve` for several (s0, psi, context, guess), float64 vectors that fit the problem; see `BatchSolver`."""
         with borrow_core(problem) as core:
-            return self._solve(core, s0, psi, context, guess)
+            return core.solve(self._options(), self.compile, given)
 
     def solve_and_linearise(
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> tuple[Solution, StageDerivatives | None]:
         """`solve`, and the second derivatives that it ended with; see `LinearisingSolver`."""
+        given = [(*problem.inputs(s0, psi, context), guess)]
         with borrow_core(problem) as core:
-            return self._solve(core, s0, psi, context, guess), core.derivatives()
-
-    def _solve(self, core: Core, s0: ArrayLike, psi: ArrayLike, context: ArrayLike, guess: Guess) -> Solution:
-        return core.solve(self._options(), self.compile, *core.problem.inputs(s0, psi, context), guess)
+            return core.solve(self._options(), self.compile, given)[0], core.derivatives()
 
     def _options(self) -> Any:
         options = c.Options(self.max_iterations, self.steps or 0, self.tolerance, self.barrier)

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT
  *
- * What the method's shared library adds for its user in Python: functions that are evaluated by CasADi.
+ * What the method's shared library adds for its user in Python: functions that are evaluated by CasADi, and many solves in a call.
  */
 #ifndef KPIRL_MPC_LIBRARY_H
 #define KPIRL_MPC_LIBRARY_H
@@ -34,6 +34,18 @@ typedef struct kpirl_mpc_compiled {
 } kpirl_mpc_compiled;
 
 int kpirl_mpc_evaluate_compiled(void *self, const void *arguments, const void *results);
+
+/* What a solve found: arrays to be filled, as long as those of kpirl_mpc_start, and numbers. */
+typedef struct kpirl_mpc_result {
+  real *x, *costates, *bounds, *path, *equality;
+  kpirl_mpc_residuals residuals;
+  real objective;
+  int iterations, status;
+} kpirl_mpc_result;
+
+/* Solve a problem for several numbers, one after the other. */
+void kpirl_mpc_solve_each(kpirl_mpc_core *core, int count, const kpirl_mpc_numbers *numbers, const kpirl_mpc_options *options,
+                          const kpirl_mpc_start *starts, kpirl_mpc_result *results);
 
 /* A number that changes with the sizes of the structures: does a library belong to its user? */
 int kpirl_mpc_layout(void);

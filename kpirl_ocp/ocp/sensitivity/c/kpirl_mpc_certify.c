@@ -96,3 +96,23 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
   negate(by->s0, k->system.n_states);
   negate(by->context, k->dimensions.n_context);
 }
+
+/* ---- several -------------------------------------------------------------------------------------------------------- */
+
+static void answer_one(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
+                       const kpirl_mpc_question *question, kpirl_mpc_answer *answer) {
+  const kpirl_mpc_system *s = &k->system;
+  k->numbers = question->numbers;
+  k->barrier = question->barrier;
+  answer->finite = kpirl_mpc_kkt_linearise(k, core, &question->solution, NULL);
+  answer->finite = answer->finite && kpirl_mpc_all_finite(question->slope, kpirl_mpc_system_n_point(s));
+  memcpy(answer->active, s->active, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
+  if (!answer->finite) return;
+  kpirl_mpc_certify(k, nearby, core, function, question->slope, NULL, &answer->gradients, &answer->evidence);
+}
+
+void kpirl_mpc_certify_each(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
+                            int count, const kpirl_mpc_question *questions, kpirl_mpc_answer *answers) {
+  int i;
+  for (i = 0; i < count; ++i) answer_one(k, nearby, core, function, questions + i, answers + i);
+}
