@@ -1,10 +1,11 @@
-"""Ordinary control problems, as users of the field have them: swing-ups, a quadrotor, chains of masses, bounded LQR."""
+"""Ordinary control problems, as users of the field have them: swing-ups, a quadrotor, chains, pendulums, LQR."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -16,6 +17,7 @@ from kpirl_ocp.ocp.models import KeypointCost, Robot, Weighted, keypoint_ocp
 from kpirl_ocp.types import Array
 
 GRAVITY = 9.81  # [m/s^2]
+Symbol = TypeVar("Symbol", ca.SX, ca.MX)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +36,7 @@ class ControlProblem:
         return self.problem, self.s0, self.psi, self.context
 
 
-def rk4(ode: Callable[[ca.SX, ca.SX], ca.SX], s: ca.SX, u: ca.SX, step: float) -> ca.SX:
+def rk4(ode: Callable[[Symbol, Symbol], Symbol], s: Symbol, u: Symbol, step: float) -> Symbol:
     """One step of the classical Runge-Kutta method."""
     k1 = ode(s, u)
     k2 = ode(s + step / 2 * k1, u)
@@ -145,6 +147,32 @@ def chain(masses: int, horizon: int = 40) -> ControlProblem:
     return ControlProblem(f"chain of {masses} masses", problem, np.concatenate([places.ravel(), np.zeros(3 * free)]))
 
 
+def pendulums(count: int = 10, horizon: int = 40) -> ControlProblem:
+    """A row of pendulums between torsion springs, three of them driven, entry by entry in MX: 1200 operations."""
+    s, u = ca.MX.sym("s", 2 * count), ca.MX.sym("u", 3)
+    stiffness, friction, driven = 2.0, 0.1, {0: 0, count // 2: 1, count - 1: 2}
+
+    def ode(s: ca.MX, u: ca.MX) -> ca.MX:
+        angles, rates = ca.vertsplit(s[:count]), ca.vertsplit(s[count:])
+        torques = [-GRAVITY * ca.sin(angle) - friction * rate for angle, rate in zip(angles, rates, strict=True)]
+        for i, j in [*pairwise(range(count)), *pairwise(reversed(range(count)))]:
+            torques[i] += stiffness * ca.sin(angles[j] - angles[i])
+        for i, motor in driven.items():
+            torques[i] += u[motor]
+        return ca.vertcat(*rates, *torques)
+
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=horizon,
+        action_bounds=(-5, 5),
+        dynamics=rk4(ode, rk4(ode, s, u, 0.025), u, 0.025),
+        stage_cost=0.05 * (ca.sumsqr(s[:count]) + 0.1 * ca.sumsqr(s[count:]) + 0.01 * ca.sumsqr(u)),
+        terminal_cost=10 * ca.sumsqr(s),
+    )
+    return ControlProblem("row of pendulums", problem, np.concatenate([np.linspace(1, -1, count), np.zeros(count)]))
+
+
 def bounded_lqr(state_bounds: bool, horizon: int = 50) -> ControlProblem:
     """A random linear system, marginally stable (12 states, 4 actions), with bounds on actions, and on states."""
     rng, n_s, n_u = np.random.default_rng(0), 12, 4
@@ -192,6 +220,7 @@ def problems(tiny: bool) -> list[ControlProblem]:
         quadrotor(),
         chain(3),
         chain(5),
+        pendulums(),
         iiwa(),
         network(),
         bounded_lqr(False),
