@@ -1,33 +1,22 @@
-"""Solves and sensitivities of a batch in parallel threads: what the layers for PyTorch and JAX have in common."""
+"""Solves and sensitivities of a batch over threads: what the layers for PyTorch and JAX have in common."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Literal
 
 import numpy as np
 
 from kpirl_ocp.bridges.values import value_of, value_slopes
 from kpirl_ocp.errors import ProblemError, SolveError
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver, StageDerivatives, solve_and_linearise
+from kpirl_ocp.ocp.problem.solver import BarrierSolver, Guess, Solver
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, check_policy
-from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
+from kpirl_ocp.ocp.solvers.many import pull_many, solve_many
 from kpirl_ocp.types import Array, Solution
 
 Policy = Literal["raise", "mask", "smooth"]
-R = TypeVar("R")
-
-
-class Solved(NamedTuple):
-    """One solution, and the derivatives with which its sensitivity begins."""
-
-    solution: Solution
-    derivatives: StageDerivatives | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,39 +49,30 @@ class Batch:
                 )
             object.__setattr__(self, "solver", self.solver.with_barrier(self.barrier))
 
-    def __getstate__(self) -> dict[str, Any]:
-        """For copies and files: threads are not part of them."""
-        return {name: value for name, value in vars(self).items() if name != "_pool"}
-
-    def solve(self, psi: Array, s0: Array, context: Array, guesses: Sequence[Guess]) -> list[Solved]:
+    def solve(self, psi: Array, s0: Array, context: Array, guesses: Sequence[Guess]) -> list[Solution]:
         """Solve for psi (B, n_psi), s0 (B, n_s) and context (B, n_c), starting at the guesses.
 
         Raises SolveError for a solve that failed, unless the policy is "mask".
         """
-
-        def one(s0: Array, psi: Array, context: Array, guess: Guess) -> Solved:
-            return Solved(*solve_and_linearise(self.solver, self.problem, s0, psi, context, guess))
-
-        solved = self._map(one, s0, psi, context, guesses)
-        failed = [(index, found.solution) for index, found in enumerate(solved) if not found.solution.status.ok]
+        solved = solve_many(self.problem, s0, psi, context, guesses, self.solver, self.threads)
+        failed = [(index, solution) for index, solution in enumerate(solved) if not solution.status.ok]
         if failed and self.policy != "mask":
             index, solution = failed[0]
             raise SolveError(f"{len(failed)} of {len(solved)} solves failed; number {index}: {solution}")
         return solved
 
-    def outputs(self, solved: Sequence[Solved]) -> tuple[Array, Array, Array]:
+    def outputs(self, plans: Sequence[Solution]) -> tuple[Array, Array, Array]:
         """States (B, T+1, n_s), actions (B, T, n_u) and optimal costs (B,)."""
-        plans = [found.solution for found in solved]
         values = [value_of(self.problem, plan) for plan in plans]
         return np.array([plan.states for plan in plans]), np.array([plan.actions for plan in plans]), np.array(values)
 
     def pull(
-        self, solved: Sequence[Solved], by_states: Array, by_actions: Array, by_values: Array
+        self, plans: Sequence[Solution], by_states: Array, by_actions: Array, by_values: Array
     ) -> tuple[Array, Array, Array, list[Certificate]]:
         """Gradients by psi (B, n_psi), s0 (B, n_s) and context (B, n_c), each with its certificate.
 
         Args:
-            solved: of `solve`.
+            plans: of `solve`.
             by_states: slopes of a function of the trajectories (B, T+1, n_s).
             by_actions: the same by actions (B, T, n_u).
             by_values: the same by the optimal costs (B,).
@@ -101,24 +81,12 @@ class Batch:
             CertificateError: a gradient is not certified, unless the policy is "mask"; then it is zero.
         """
         policy: Literal["raise", "flag"] = "flag" if self.policy == "mask" else "raise"
-
-        def one(found: Solved, states: Array, actions: Array, value: float) -> Any:
-            plan = sensitivity(self.problem, found.solution, policy, found.derivatives).pull(states, actions)
-            total = [plan.psi, plan.s0, plan.context]
-            if value:
-                slopes = value_slopes(self.problem, found.solution)
-                total = [part + value * slope for part, slope in zip(total, slopes, strict=True)]
-            return *total, plan.certificate
-
-        *gradients, certificates = zip(*self._map(one, solved, by_states, by_actions, by_values), strict=True)
+        found = pull_many(self.problem, plans, by_states, by_actions, policy, self.threads)
+        gradients = [np.array([getattr(each, name) for each in found]) for name in ("psi", "s0", "context")]
+        for i in np.flatnonzero(by_values).tolist():
+            for rows, slope in zip(gradients, value_slopes(self.problem, plans[i]), strict=True):
+                rows[i] += by_values[i] * slope
+        certificates: list[Certificate] = [each.certificate for each in found]
         kept = np.array([certificate.certified for certificate in certificates])[:, None]
-        psi, s0, context = (np.where(kept, np.array(rows), 0.0) for rows in gradients)
-        return psi, s0, context, list(certificates)
-
-    def _map(self, function: Callable[..., R], *columns: Iterable[Any]) -> list[R]:
-        return list(self._pool.map(function, *columns))
-
-    @cached_property
-    def _pool(self) -> ThreadPoolExecutor:
-        """Threads that stay, because each keeps its own memory and functions of the problem."""
-        return ThreadPoolExecutor(self.threads or os.cpu_count(), thread_name_prefix="ocp")
+        psi, s0, context = (np.where(kept, rows, 0.0) for rows in gradients)
+        return psi, s0, context, certificates

@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from kpirl_ocp.bridges.batch import Batch, Policy, Solved
+from kpirl_ocp.bridges.batch import Batch, Policy
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.solvers.riccati import Riccati
-from kpirl_ocp.types import Array
+from kpirl_ocp.types import Array, Solution
 
 Plan = Callable[[jax.Array, jax.Array, jax.Array], tuple[jax.Array, ...]]
 
@@ -58,7 +58,7 @@ def ocp_function(
 
     def pull(psi: Array, s0: Array, context: Array, *by_outputs: Array) -> tuple[Array, ...]:
         lead, (psi, s0, context), example = *_rows((psi, s0, context), sizes), psi
-        solved: list[Solved] = batch.solve(psi, s0, context, [None] * len(psi))
+        solved: list[Solution] = batch.solve(psi, s0, context, [None] * len(psi))
         slopes = (np.asarray(x, float).reshape((len(solved), *np.shape(x)[len(lead) :])) for x in by_outputs)
         *gradients, _ = batch.pull(solved, *slopes)
         return _like(example, *(g.reshape(*lead, g.shape[1]) for g in gradients))

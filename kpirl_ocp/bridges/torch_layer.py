@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 
-from kpirl_ocp.bridges.batch import Batch, Policy, Solved
+from kpirl_ocp.bridges.batch import Batch, Policy
 from kpirl_ocp.bridges.first_action import with_first_action
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -115,11 +115,11 @@ class OCPLayer(torch.nn.Module):
         count = max((len(tensor) for tensor in given if tensor.ndim == 2), default=1)
         rows = [_rows(name, x, count, size) for x, (name, size) in zip(given, sizes.items(), strict=False)]
         guesses = _guesses(batch.problem, guess, count)
-        solved: list[Solved] = []
+        solved: list[Solution] = []
         certificates: list[list[Certificate]] = []
         inputs = (*rows[:2], torch.cat(rows[2:], dim=1))
         states, actions, values = _Solve.apply(batch, guesses, solved, certificates, *inputs)
-        return Plan(states, actions, values, tuple(found.solution for found in solved), certificates)
+        return Plan(states, actions, values, tuple(solved), certificates)
 
     @property
     def _sizes(self) -> dict[str, int]:
@@ -144,7 +144,7 @@ class _Solve(torch.autograd.Function):
         ctx: Any,
         batch: Batch,
         guesses: Sequence[Guess],
-        solved: list[Solved],
+        solved: list[Solution],
         certificates: list[list[Certificate]],
         *rows: Tensor,
     ) -> tuple[Tensor, ...]:
