@@ -1,4 +1,4 @@
-"""Patches of an image around points of an object, sharp and smoothed, so that motion blur hides none."""
+"""Looks: patches around points of an object, sharp and smoothed, so that motion blur hides none; and its colours."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from kpirl_ocp.types import Array
 _BLUR = 3.0  # standard deviation of the smooth view [pixels]
 RADII = (10, 20)  # of a patch in the sharp and in the smooth view [pixels]
 _ACROSS = 11  # samples along a side of a patch
+COARSE = 3  # every so many pixels of the colours are compared, along x and y; they are smooth
+_PLACES = 4  # that look alike, at most
 
 
 Greys = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -53,6 +55,17 @@ class Views(NamedTuple):
         return sharp, smooth
 
 
+class Memory(NamedTuple):
+    """A frame, and the pose (3, 3) of the object in it."""
+
+    views: Views
+    pose: Array
+
+    def at(self, pose: Array) -> Greys:
+        """The grey views warped as if the object were at another pose: flow compares patches that are not turned."""
+        return self.views.turned(pose @ np.linalg.inv(self.pose))
+
+
 def _sample(view: NDArray[np.uint8], points: Array, pose: Array, radius: int) -> Array:
     axis = np.linspace(-radius, radius, _ACROSS)
     grid = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2) @ pose[:2, :2].T
@@ -67,3 +80,29 @@ def correlation(one: Array, other: Array) -> Array:
     """Normalised cross-correlation (n,) of patches (n, m); 0 where a patch is of one grey."""
     one, other = (values - values.mean(1, keepdims=True) for values in (one, other))
     return (one * other).sum(1) / np.maximum(np.linalg.norm(one, axis=1) * np.linalg.norm(other, axis=1), 1e-9)
+
+
+def correlations(scene: NDArray[np.uint8], picture: NDArray[np.uint8], shape: NDArray[np.uint8]) -> Array:
+    """Normalised correlation of a picture, where its shape is, with every window of a scene."""
+    scores = np.asarray(cv2.matchTemplate(scene, picture, cv2.TM_CCOEFF_NORMED, mask=shape), float)
+    return np.where(np.isfinite(scores), scores, -1.0)  # windows of one colour have no correlation
+
+
+def peaks(scores: Array, least: float, apart: tuple[int, int]) -> NDArray[np.intp]:
+    """The few places (n, 2), x and y, with the largest scores of at least so much.
+
+    apart: semi-axes of the ellipse around each in which there is no other.
+    """
+    found, left = [], np.array(scores, np.float32)
+    for _ in range(_PLACES):
+        row, column = np.unravel_index(int(left.argmax()), left.shape)
+        if left[row, column] < least:
+            break
+        found.append((int(column), int(row)))
+        cv2.ellipse(left, found[-1], apart, 0, 0, 360, -1.0, cv2.FILLED)
+    return np.array(found, np.intp).reshape(-1, 2)
+
+
+def coarse(view: cv2.typing.MatLike) -> NDArray[np.uint8]:
+    """Every third pixel along x and y."""
+    return np.array(view[::COARSE, ::COARSE], np.uint8)

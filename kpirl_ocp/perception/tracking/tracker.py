@@ -2,8 +2,9 @@
 
 From frame to frame its points are followed by optical flow, and the pose is the similarity that most of them agree on;
 so points that are lost or hidden are restored by the others. A pose counts only if enough points also look as they
-should. An object that is lost stays where it was until it is found again: with the flow from earlier frames, or with
-its picture in the neighbourhood; where several places look alike, none is believed.
+should. An object that is lost is found again with the flow from earlier frames, or with its picture in the
+neighbourhood; where several places look alike, none is believed. Until then it is where its outline is, if that is
+clear, and else where it was; no point counts as found.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from kpirl_ocp.perception.data.video import Frames
-from kpirl_ocp.perception.tracking.appearance import Greys, Views
+from kpirl_ocp.perception.tracking.appearance import Greys, Memory, Views
+from kpirl_ocp.perception.tracking.lookalikes import Lookalikes, candidates
 from kpirl_ocp.perception.tracking.model import ObjectModel
 from kpirl_ocp.perception.tracking.optical_flow import follow
-from kpirl_ocp.perception.tracking.redetection import Memory, Twins, candidates
 from kpirl_ocp.perception.tracking.similarity import fit, scale, transform
 from kpirl_ocp.types import Array, Mask
 
@@ -86,11 +87,12 @@ class _Tracker:
     """State between frames.
 
     first: the first frame. before: the last one and the pose in it. sure, recent: frames to find the object again from.
-    motion: (3, 3) pose by pose. lost: frames since it was last found. twins: that look like it, and are not.
+    motion: (3, 3) pose by pose. lost: frames since it was last found. likes: the things that look like it, itself
+    among them.
     """
 
     model: ObjectModel
-    twins: Twins
+    likes: Lookalikes
     first: Memory
     before: Memory
     sure: Memory
@@ -101,7 +103,8 @@ class _Tracker:
     @classmethod
     def start(cls, views: Views, mask: Mask) -> _Tracker:
         first = Memory(views, np.eye(3))
-        return cls(ObjectModel.of(views, mask), Twins.of(views, mask), first, first, first, first, np.eye(3))
+        likes = Lookalikes.of(first, mask)
+        return cls(ObjectModel.of(views, mask), likes, first, first, first, first, np.eye(3))
 
     def located(self, time: float, found: Mask) -> Located:
         pose, model = self.before.pose, self.model
@@ -115,8 +118,10 @@ class _Tracker:
         match = self._anchored(views, match) if match else self._again(views)
         if match is None:
             self.lost, self.motion = self.lost + 1, np.eye(3)
-            self.before = Memory(views, pose)
+            outline = self.likes.look(views)
+            self.before = Memory(views, pose if outline is None else outline)
             return np.zeros(len(self.model.points), bool)
+        self.likes.see(Memory(views, match.pose), well=match.sharp and match.share >= _TOGETHER)
         self.motion = np.eye(3) if self.lost else match.pose @ np.linalg.inv(pose)
         self.lost, self.before = 0, Memory(views, match.pose)
         return self._learn(match)
@@ -151,14 +156,14 @@ class _Tracker:
             greys = memory.at(pose)
             for level in (0, 1):
                 match = self._match(views, greys, pose, pose, level)
-                if match and not self.twins.is_one(views, match.pose):
+                if match and not self.likes.is_other(match.pose):
                     return match
         matches = [
             match
             for guess in candidates(views, self.sure, pose, self.model.mask, self.lost)
             for greys in [self.sure.at(guess)]
             for level in (0, 1)
-            if (match := self._match(views, greys, guess, guess, level)) and not self.twins.is_one(views, match.pose)
+            if (match := self._match(views, greys, guess, guess, level)) and not self.likes.is_other(match.pose)
         ]
         return _unambiguous(matches)
 
