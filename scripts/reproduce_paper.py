@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kpirl_ocp.cli.main import experiment
 from kpirl_ocp.cli.parser import Parser
-from kpirl_ocp.cli.values import MOST_PROCESSES, existing_directory, one_of, whole
+from kpirl_ocp.cli.values import MOST_PROCESSES, directory, existing_directory, one_of, whole
 
 PRESETS = ("full", "tiny")
 BACKENDS = ("loky", "dask", "ray")
@@ -26,7 +26,7 @@ def add_options(parser: Parser) -> None:
         "--backend", type=one_of(BACKENDS), default="loky", help="loky (here, the default), dask or ray"
     )
     parser.add_argument("--address", help="of a running Dask scheduler or Ray cluster")
-    parser.add_argument("--out", type=Path, default=Path("out/paper"), help="directory (default: %(default)s)")
+    parser.add_argument("--out", type=directory, default=Path("out/paper"), help="directory (default: %(default)s)")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kpirl_ocp.cli.main import experiment
 from kpirl_ocp.cli.parser import Parser
-from kpirl_ocp.cli.values import one_of
+from kpirl_ocp.cli.values import directory, one_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # where cases are
 PROFILES = ("full", "quick")
@@ -22,7 +22,7 @@ def add_options(parser: Parser) -> None:
     parser.add_argument(
         "--only", type=one_of(PARTS), nargs="+", default=list(PARTS), metavar="PART", help=f"some of {', '.join(PARTS)}"
     )
-    parser.add_argument("--out", type=Path, default=Path("out/stress"), help="directory (default: %(default)s)")
+    parser.add_argument("--out", type=directory, default=Path("out/stress"), help="directory (default: %(default)s)")
 
 
 if __name__ == "__main__":

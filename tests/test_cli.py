@@ -78,6 +78,9 @@ def says_much():
 
 def true_step():
     return pendulum()[0], {"s0": [0, 0], "psi": [0.8, 0.02], "step_size": True}
+
+def no_horizon():
+    return OCP.from_expressions(state=ca.SX.sym("s"), action=ca.SX.sym("u"), dynamics=0, stage_cost=0, horizon=0)
 '''
 
 KPIRL = [sys.executable, str(Path(kpirl_ocp.__file__).with_name("cli"))]  # -m: of the working directory
@@ -141,6 +144,7 @@ def cython_of(names):
 
 WHOLE = "expected a whole number of at least"
 MOST = "expected a whole number of at most"
+METRES = "expected a finite number of at least -1000 and of at most 1000"
 NINES = "9" * 5000  # more digits than Python reads
 WRONG = {  # words, beginning of the sentence
     "--verson": "there is no command '--verson': did you mean '--version'? (see `kpirl --help`)",
@@ -148,8 +152,9 @@ WRONG = {  # words, beginning of the sentence
     "solv": "there is no command 'solv': did you mean 'solve'? (see `kpirl --help`)",
     "solve --steps -5": f"--steps: {WHOLE} 1, got '-5'.",
     "solve --steps 1.5": f"--steps: {WHOLE} 1, got '1.5'.",
-    "solve --move nan 0 0": "--move: expected a finite number, got 'nan'.",
-    "solve --move 0 -inf 0": "--move: expected a finite number, got '-inf'.",
+    "solve --move nan 0 0": f"--move: {METRES}, got 'nan'.",
+    "solve --move 0 -inf 0": f"--move: {METRES}, got '-inf'.",
+    "solve --move 0 0 1e200": f"--move: {METRES}, got '1e200'.",
     "solve --move 1 2": "--move: expected 3 arguments.",
     "solve --horizon -3": f"--horizon: {WHOLE} 1, got '-3'.",
     "solve --horizon 0": f"--horizon: {WHOLE} 1, got '0'.",
@@ -160,7 +165,7 @@ WRONG = {  # words, beginning of the sentence
     f"solve --horizon {NINES}": f"--horizon: {MOST} 1000000, got '{NINES}'.",
     "solve --steps 1e30": f"--steps: {WHOLE} 1, got '1e30'.",
     "solve --steps 1000001": f"--steps: {MOST} 1000000, got '1000001'.",
-    "solve --move 1e400 0 0": "--move: expected a finite number, got '1e400'.",
+    "solve --move 1e400 0 0": f"--move: {METRES}, got '1e400'.",
     "solve --hrizon 3": "there is no option --hrizon: did you mean '--horizon'?",
     "solve --hor 3": "there is no option --hor",
     "solve --solver ricati": "--solver: expected one of riccati, ipopt, fatrop, sqp, gradient, got 'ricati': "
@@ -175,6 +180,8 @@ WRONG = {  # words, beginning of the sentence
     "solve own.py:alone": "own.py:alone: it must return an OCP and a dictionary with its numbers, not OCP.",
     "solve own.py:broken": "own.py:broken raised ZeroDivisionError: division by zero (line 40 of own.py)",
     "solve own.py:exits": "own.py:exits raised SystemExit (line 43 of own.py)",
+    "solve own.py:no_horizon": "own.py:no_horizon raised ProblemError: horizon must be a whole number of at least 1 "
+    "step and at most 1000000, got 0. (line 52 of own.py)",
     "solve own.py:says_much": "own.py:says_much raised ValueError: one two (line 46 of own.py)",
     "solve own.py:true_step": "own.py:true_step: step_size must be a positive number, got True.",
     "solve unfinished.py:f": "unfinished.py raised SyntaxError: '(' was never closed (unfinished.py, line 1).",
@@ -182,6 +189,7 @@ WRONG = {  # words, beginning of the sentence
     "solve --robot missing.urdf": "--robot: there is no URDF file missing.urdf.",
     "solve --robot own.py": "--robot: own.py cannot be read as a URDF",
     "solve --tool elbow": "--robot iiwa --tool elbow: the robot 'lbr_iiwa' has no link 'elbow'; its links are:",
+    "solve --out=": "--out: expected a directory, got ''.",
     "solve --out own.py/x": "--out: cannot write to 'own.py/x': Not a directory.",
     "solve --out own.py": "--out: 'own.py' is a file, and not a directory.",
     "solve --out /proc/x": "--out: cannot write to '/proc/x': No such file or directory.",
@@ -392,6 +400,32 @@ def test_the_plan_of_an_arm_is_written_for_rerun(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "plan.rrd").read_bytes()[:3] == b"RRF"
 
 
+NEIGHBOUR = """
+from __future__ import annotations
+from dataclasses import dataclass
+
+@dataclass(frozen=True)
+class Start:
+    angle: float = 0.0
+"""
+
+
+STARTED = """
+def started():
+    from beside_it import Start
+    return pendulum()[0], {"s0": [Start().angle, 0], "psi": [0.8, 0.02]}
+"""
+
+
+@pytest.mark.parametrize("name", ["mein Pendel, größer.py", "numpy.py"])
+def test_an_own_file_may_have_any_name_hold_dataclasses_and_import_its_neighbours(name, tmp_path, monkeypatch):
+    (tmp_path / "beside_it.py").write_text(NEIGHBOUR)
+    (tmp_path / name).write_text(NEIGHBOUR + PENDULUM + STARTED)
+    monkeypatch.chdir(tmp_path)
+    assert run(["solve", f"{name}:started", "--quiet", "--out", "größer"]) == 0
+    assert json.loads((tmp_path / "größer/metrics.json").read_text())["results"]["status"] == "CONVERGED"
+
+
 def test_every_solver_finds_the_same_plan_of_an_own_problem(own, tmp_path):
     objectives = []
     for solver in ("riccati", "ipopt", "fatrop", "sqp"):
@@ -421,14 +455,14 @@ def test_the_saved_options_repeat_the_call_and_the_command_line_goes_first(tmp_p
 
 
 CONFIGS = {  # text, sentence
-    "hrizon: 3": "config.yaml: there is no option 'hrizon': did you mean 'horizon'?",
-    "horizon: -3": "config.yaml: --horizon: expected a whole number of at least 1, got '-3'.",
-    "move: [1, 2]": "config.yaml: --move: expected 3 arguments.",
-    "command: learn": "config.yaml has the options of learn, not of solve.",
-    "solver: [riccati, ipopt]": "config.yaml: 'solver' must be one value, got ['riccati', 'ipopt'].",
-    "rerun: maybe": "config.yaml: 'rerun' must be true or false, got 'maybe'.",
-    "- horizon": "config.yaml must be a mapping from options to values.",
-    "a: [": "config.yaml is not a YAML file",
+    "hrizon: 3": "--config: config.yaml: there is no option 'hrizon': did you mean 'horizon'?",
+    "horizon: -3": "--config: config.yaml: --horizon: expected a whole number of at least 1, got '-3'.",
+    "move: [1, 2]": "--config: config.yaml: --move: expected 3 arguments.",
+    "command: learn": "--config: config.yaml has the options of learn, not of solve.",
+    "solver: [riccati, ipopt]": "--config: config.yaml: 'solver' must be one value, got ['riccati', 'ipopt'].",
+    "rerun: maybe": "--config: config.yaml: 'rerun' must be true or false, got 'maybe'.",
+    "- horizon": "--config: config.yaml must be a mapping from options to values.",
+    "a: [": "--config: config.yaml is not a YAML file",
 }
 
 
@@ -443,12 +477,14 @@ def test_required_options_may_come_from_a_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "config.yaml").write_text("demonstrations: .\ncost: nowhere\n")
     assert refusal(["evaluate", "--config", "config.yaml"], capsys) == (
-        "config.yaml: --cost: there is no file 'nowhere'."
+        "--config: config.yaml: --cost: there is no file 'nowhere'."
     )
     (tmp_path / "config.yaml").write_text("motion: sine\n")
-    assert refusal(["collect", "--config", "config.yaml"], capsys).startswith("config.yaml: MOTION: expected one of")
+    assert refusal(["collect", "--config", "config.yaml"], capsys).startswith(
+        "--config: config.yaml: MOTION: expected one of"
+    )
     (tmp_path / "config.yaml").write_text("motion: sines\njobs: 0\n")
-    assert refusal(["collect", "--config", "config.yaml"], capsys).startswith("config.yaml: --jobs: expected")
+    assert refusal(["collect", "--config", "config.yaml"], capsys).startswith("--config: config.yaml: --jobs: expected")
 
 
 @pytest.mark.parametrize("words", ["solve --horizon 3", "learn --steps 2 --train 1", "demonstrate --tests 0"])

@@ -10,7 +10,8 @@ from typing import Any, NoReturn
 
 import yaml
 
-from kpirl_ocp.cli.values import existing_file
+from kpirl_ocp.cli.sentences import of_option
+from kpirl_ocp.cli.values import directory, existing_file
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.sizes import read_text
 from kpirl_ocp.spelling import suggestion
@@ -52,7 +53,8 @@ class Parser(argparse.ArgumentParser):
         self._know(words)
         config = self._config_of(words)
         if config is not None:
-            self._adopt(config)
+            with of_option("--config"):
+                self._adopt(config)
         return self.parse_args(words)
 
     def _know(self, words: Sequence[str]) -> None:
@@ -110,7 +112,7 @@ def build_parser(program: str, description: str, add_options: Callable[[Parser],
     add_options(parser)
     if "out" not in parser.options():
         place = Path("out") / Path(parser.command).stem
-        parser.add_argument("--out", type=Path, default=place, help="directory (default: %(default)s)")
+        parser.add_argument("--out", type=directory, default=place, help="directory (default: %(default)s)")
     parser.add_argument(
         "--config", type=existing_file, metavar="FILE.yaml", help="options; the command line goes first"
     )

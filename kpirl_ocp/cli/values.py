@@ -60,6 +60,13 @@ def one_of(names: Iterable[str]) -> Callable[[str], str]:
     return parse
 
 
+def directory(word: str) -> Path:
+    """A directory for results, which need not exist."""
+    if not word:
+        raise ArgumentTypeError("expected a directory, got ''")
+    return Path(word)
+
+
 def existing_directory(word: str) -> Path:
     """A directory to read."""
     if not os.path.isdir(word):  # False as well for a name that cannot be

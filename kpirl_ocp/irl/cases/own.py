@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,36 +47,49 @@ def load_own(place: str) -> OwnProblem:
         ProblemError: the function is missing, file or function raise, or the returned parts do not fit together.
     """
     path, _, name = place.rpartition(":")
-    function = getattr(_module(Path(path)), name, None)
-    if not callable(function):
-        raise ProblemError(f"{path} has no function {name!r}.")
-    try:
-        returned = function()
-    except (Exception, SystemExit) as error:
-        raise ProblemError(_raised(place, error)) from error
+    with _neighbours(Path(path)):
+        function = getattr(_module(Path(path)), name, None)
+        if not callable(function):
+            raise ProblemError(f"{path} has no function {name!r}.")
+        try:
+            returned = function()
+        except (Exception, SystemExit) as error:
+            raise ProblemError(_raised(place, Path(path), error)) from error
     return _checked(place, returned)
 
 
+@contextlib.contextmanager
+def _neighbours(path: Path) -> Iterator[None]:
+    """A block in which a file may import those beside it."""
+    folder = str(path.parent.resolve())
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):  # the file has taken it out
+            sys.path.remove(folder)
+
+
 def _module(path: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    spec = importlib.util.spec_from_file_location(f"kpirl_own.{path.stem}", path)  # else numpy.py would be numpy
     if spec is None or spec.loader is None or not path.is_file():
         raise FileError(f"there is no Python file {path}.")
     module = importlib.util.module_from_spec(spec)
-    sys.path.insert(0, str(path.parent.resolve()))  # so that the file may import its neighbours
+    sys.modules[module.__name__] = module  # where dataclasses look up annotations
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        raise ProblemError(_raised(str(path), error)) from error
-    finally:
-        sys.path.pop(0)
+        raise ProblemError(_raised(str(path), path, error)) from error
     return module
 
 
-def _raised(place: str, error: BaseException) -> str:
+def _raised(place: str, path: Path, error: BaseException) -> str:
+    """What was raised, and the last line of the file that led there."""
     said = " ".join(f"{place} raised {type(error).__name__}: {error}".split()).rstrip(":")
     if isinstance(error, SyntaxError):  # which says where by itself
         return f"{said}."
-    last = traceback.extract_tb(error.__traceback__)[-1]
+    frames = traceback.extract_tb(error.__traceback__)
+    last = next((frame for frame in reversed(frames) if Path(frame.filename).resolve() == path.resolve()), frames[-1])
     return f"{said} (line {last.lineno} of {Path(last.filename).name})"
 
 

@@ -47,8 +47,8 @@ def _has_xacro_elements(path: Path) -> bool:
     """Whether anything is left to expand; comments and a declared namespace do not count."""
     try:
         return any("xacro" in element.tag.partition("}")[0] for element in ET.parse(path).iter())
-    except ET.ParseError:
-        return False  # Pinocchio says what is wrong
+    except (ET.ParseError, ValueError, LookupError) as error:  # of the text, of its encoding
+        raise RobotError(f"{path} cannot be read as a URDF: it is not XML: {error}.") from error
 
 
 def example_urdf(name: str) -> Path:
