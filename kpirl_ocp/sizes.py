@@ -28,7 +28,10 @@ def read_text(path: Path) -> str:
         content = file.read(_LARGEST_TEXT + 1)
     if len(content) > _LARGEST_TEXT:
         raise ValueError(f"it has more than {_LARGEST_TEXT // 2**20} MiB of text.")
-    return content.decode()
+    try:
+        return content.decode()
+    except UnicodeDecodeError as error:  # whose own words hold the whole content
+        raise ValueError(f"it is not text in UTF-8: {error.reason} at byte {error.start}.") from None
 
 
 def read_json(path: Path) -> Any:

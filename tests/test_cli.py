@@ -30,7 +30,7 @@ from kpirl_ocp.irl.cases.tasks import TASKS
 from kpirl_ocp.irl.visual.learning import COSTS
 
 PENDULUM = '''
-import casadi as ca
+import casadi as ca; import numpy as np
 from kpirl_ocp import OCP, Ipopt
 
 def pendulum():
@@ -81,6 +81,9 @@ def true_step():
 
 def no_horizon():
     return OCP.from_expressions(state=ca.SX.sym("s"), action=ca.SX.sym("u"), dynamics=0, stage_cost=0, horizon=0)
+
+def unseen():
+    return pendulum()[0], pendulum()[1] | {"observations": np.full((26, 2), np.nan)}
 '''
 
 KPIRL = [sys.executable, str(Path(kpirl_ocp.__file__).with_name("cli"))]  # -m: of the working directory
@@ -213,6 +216,9 @@ WRONG = {  # words, beginning of the sentence
     "evaluate": "the following arguments are required: --demonstrations.",
     "evaluate --demonstrations . --cost nowhere": "--cost: there is no file 'nowhere'.",
     "evaluate --demonstrations . --cost empty.json": "--cost: empty.json is not a learned cost: it has no 'effort'.",
+    "evaluate --demonstrations . --cost bytes": "--cost: bytes is not a learned cost: "
+    "ValueError('it is not text in UTF-8: invalid start byte at byte 2.').",
+    "solve --config bytes": "--config: bytes is not a YAML file: it is not text in UTF-8: invalid",
     "evaluate --demonstrations . --cost own.py": "--cost: own.py is not a learned cost",
     "compare --problem lrq": "--problem: expected one of iiwa, integrator, lqr, pendulum, got 'lrq': "
     "did you mean 'lqr'?",
@@ -220,6 +226,7 @@ WRONG = {  # words, beginning of the sentence
     "compare --iterations 0": f"--iterations: {WHOLE} 1, got '0'.",
     "compare own.py:seen --problem lqr": "--problem is an example, and FILE.py:FUNCTION your own: give one of them.",
     "compare own.py:pendulum": "own.py:pendulum: a hypergradient needs parameters psi, and the observations",
+    "compare own.py:unseen": "own.py:unseen: observations must be finite and of shape (26, 2), got array([[nan,",
     "compare own.py:f": "own.py has no function 'f'.",
     "export --horizon 0": f"--horizon: {WHOLE} 1, got '0'.",
     "export --cost nowhere": "--cost: there is no file 'nowhere'.",
@@ -257,6 +264,7 @@ def test_wrong_input_is_one_sentence(words, own, monkeypatch, capsys):
     (own.parent / "empty").mkdir()
     (own.parent / "empty.json").write_text("{}")
     (own.parent / "unfinished.py").write_text("f(\n")
+    (own.parent / "bytes").write_bytes(b"{}\xff" + bytes(5000))
     assert refusal(words.split(), capsys).startswith(WRONG[words])
 
 

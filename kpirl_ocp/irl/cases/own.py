@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import sys
+import textwrap
 import traceback
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -84,7 +85,7 @@ def _module(path: Path) -> Any:
 
 
 def _raised(place: str, path: Path, error: BaseException) -> str:
-    """What was raised, and the last line of the file that led there."""
+    """A sentence about an error, with the last line of the file that led there."""
     said = " ".join(f"{place} raised {type(error).__name__}: {error}".split()).rstrip(":")
     if isinstance(error, SyntaxError):  # which says where by itself
         return f"{said}."
@@ -122,8 +123,12 @@ def _array(place: str, numbers: Mapping[str, Any], name: str, shape: tuple[int, 
     if value.shape != shape and value.size == np.prod(shape) and len(shape) == 1:
         value = value.reshape(shape)
     if value.shape != shape or not np.isfinite(value).all():
-        raise ProblemError(f"{place}: {name} must be finite and of shape {shape}, got {numbers[name]!r}.")
+        raise ProblemError(f"{place}: {name} must be finite and of shape {shape}, got {_brief(numbers[name])}.")
     return value
+
+
+def _brief(value: object) -> str:
+    return textwrap.shorten(repr(value), 80, placeholder=" ..")
 
 
 def _step_size(place: str, numbers: Mapping[str, Any]) -> float | None:
