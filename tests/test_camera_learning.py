@@ -12,7 +12,7 @@ pytest.importorskip("av")
 pytest.importorskip("cv2")
 pytest.importorskip("pybullet")
 pytest.importorskip("torch")
-from films import film, pose, shaken
+from films import WALL, film, pose, shaken
 
 from kpirl_ocp.assets import iiwa_urdf
 from kpirl_ocp.cli.imitation.arm import Scale, arm_for, other_starts
@@ -301,7 +301,7 @@ def test_one_command_leads_from_a_film_to_a_robot_that_does_it(tmp_path, moving_
     assert run(words) == 0, capsys.readouterr()
     written = {path.name for path in tmp_path.iterdir()}
     assert {"tracks.npz", "tracks.png", "tracks.mp4", "cost.json", "paths.png"} <= written
-    assert {"imitation.mp4", "imitation.png"} <= written
+    assert {"imitation.mp4", "imitation.png", "object.png"} <= written
     tracks = str(tmp_path / "tracks.npz")
     again = ["learn-video", str(moving_film), "--tracks", tracks, "--scale", "0.4", "--steps", "5", "--starts", "2"]
     assert run([*again, "--cost", str(tmp_path / "cost.json"), "--out", str(tmp_path / "again")]) == 0
@@ -311,9 +311,33 @@ def test_one_command_leads_from_a_film_to_a_robot_that_does_it(tmp_path, moving_
 def test_an_execution_that_stays_far_from_the_film_says_whether_the_arm_or_the_cost_is_why(
     tmp_path, moving_film, capsys
 ):
-    words = ["learn-video", str(moving_film), "--box", "54,74,106,126", "--scale", "0.4", "--steps", "5"]
-    assert run([*words, "--iterations", "1", "--starts", "1", "--out", str(tmp_path)]) == 1
+    words = ["learn-video", str(moving_film), "--scale", "0.4", "--steps", "5", "--starts", "1", "--out", str(tmp_path)]
+    assert run([*words, "--box", "54,74,106,126", "--iterations", "1"]) == 1
     assert re.search(r"start 1: the arm could stay \d\.\d% of the way .* learn longer", capsys.readouterr().out)
+    cost = ["--tracks", str(tmp_path / "tracks.npz"), "--cost", str(tmp_path / "cost.json")]
+    assert run([*words, *cost]) == 1
+    said = capsys.readouterr().out
+    assert re.search(r"start 1: the arm could stay .* learn from this one, without --cost", said)
+    assert "--iterations" not in said
+
+
+def test_a_film_in_which_nothing_was_marked_is_refused_with_a_picture_of_what_was_taken_for_the_object(
+    tmp_path, capsys
+):
+    frames = [image for _, image in film([pose(80 + 6 * i, 100) for i in range(30)])]
+    frames[12:26] = 14 * [WALL]  # the object vanishes
+    path = write_video(tmp_path / "mine.mp4", frames, 30, codec="h264")
+    assert run(["learn-video", str(path), "--out", str(tmp_path)]) == 2
+    assert re.search(r"not seen for sure .*object\.png .*--box X0,Y0,X1,Y1 or --points X,Y", capsys.readouterr().err)
+    assert (tmp_path / "object.png").exists()
+
+
+def test_three_joints_begin_bent_enough_to_move_the_bottle_along_themselves(tmp_path):
+    for path in (way(across=20.0, down=-20.0, turn=0.4), way(across=0.0, down=60.0)):
+        arm, wanted = arm_for(planar_arm(tmp_path / "arm.urdf", "0 1 0"), None, path, Scale(0.6, 0.25, None))
+        assert (
+            check_reach(arm.setting, arm.robot, camera_demonstration(arm.setting, arm.robot, arm.start, wanted)) < 0.02
+        )
 
 
 def test_a_film_that_shows_no_motion_is_refused_with_a_picture(tmp_path, capsys):

@@ -20,7 +20,7 @@ from kpirl_ocp.irl.visual.reach import check_reach
 from kpirl_ocp.ocp.export.folder import export_c
 from kpirl_ocp.perception.detector.tracks import detector_tracks
 from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, refusal
-from kpirl_ocp.perception.tracking.pictures import evenly, track_film, track_sheet
+from kpirl_ocp.perception.tracking.pictures import draw_object, evenly, track_film, track_sheet
 from kpirl_ocp.perception.tracking.tracks import Tracks, read_tracks, write_tracks
 from kpirl_ocp.perception.tracking.watch import Film, extent, find_object, follow_hand, follow_object, seen_at_rest
 from kpirl_ocp.reporting import said_if_interrupted, table, write_metrics
@@ -51,7 +51,7 @@ def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) 
     """Learn and execute; length: of the object [pixels], where it is known."""
     print(f"sheet:   {track_sheet(args.out / 'tracks.png', film.frames(), tracks, evenly(_SHOWN, len(tracks.times)))}")
     print(f"tracks:  {track_film(args.out / 'tracks.mp4', film.frames(), tracks)}")
-    _admit(args.out, film, tracks)
+    _admit(args, film, tracks)
     shown, part = _part(film, tracks)
     check_steps(part, args.steps)
     if args.dynamics:
@@ -65,7 +65,7 @@ def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) 
     _report(args, learned, runs)
     far = [i for i, run in enumerate(runs) if run.reached >= ALLOWED]
     for i in far:
-        print(f"start {i + 1}: {shortfall(arm, way, starts[i], runs[i])}")
+        print(f"start {i + 1}: {shortfall(arm, way, starts[i], runs[i], reused=bool(args.cost))}")
     print(f"figure:  {draw_paths(args.out / 'paths.png', runs)}")
     print(f"picture: {draw_imitation(args.out / 'imitation.png', part, runs[0])}")
     print(f"film:    {side_by_side(args.out / 'imitation.mp4', shown, part, runs[0])}")
@@ -86,18 +86,29 @@ def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:
         tracks = detector_tracks(film, args.detector)
     else:
         mask = find_object(film, args.box, args.points)
+        print(f"object:  {draw_object(args.out / 'object.png', film.first(), mask)}")
         length = extent(mask)
         tracks = follow_object(film, mask)
     write_tracks(args.out / "tracks.npz", tracks)
     return tracks, length
 
 
-def _admit(out: Path, film: Film, tracks: Tracks) -> None:
+def _admit(args: Namespace, film: Film, tracks: Tracks) -> None:
     """Raise DemonstrationError, with the picture that shows why, if there is nothing to learn from."""
     found = refusal(tracks)
     if found is not None:
-        picture = track_sheet(out / "refused.png", film.frames(), tracks, found.frames)
-        raise DemonstrationError(f"{found.reason} See {picture}.")
+        picture = track_sheet(args.out / "refused.png", film.frames(), tracks, found.frames)
+        raise DemonstrationError(f"{found.reason} See {picture}.{_guess(args)}")
+
+
+def _guess(args: Namespace) -> str:
+    """Advice for a film in which nothing was marked."""
+    if args.box or args.points or args.tracks or args.hand or args.detector:
+        return ""
+    return (
+        f" Nothing was marked, so whatever moves was followed: if {args.out / 'object.png'} does not outline the "
+        "object alone, read its place off that picture and give it (--box X0,Y0,X1,Y1 or --points X,Y)."
+    )
 
 
 def _part(film: Film, tracks: Tracks) -> tuple[Film, Tracks]:

@@ -47,12 +47,16 @@ def solver_of(args: Namespace) -> Solver:
     return solvers[args.solver]()
 
 
-def bent_posture(robot: Robot) -> Array:
-    """Joint positions away from limits and from stretched postures: mid-range, bent by 0.4 to alternating sides."""
+def bent_posture(robot: Robot, bend: float = 0.4) -> Array:
+    """Joint positions away from limits and from stretched postures: mid-range, bent to alternating sides.
+
+    bend: of a joint [rad], and at most half of the way to its limits.
+    """
     lower, upper = robot.joint_limits
     bounded = np.isfinite(lower) & np.isfinite(upper)
     middle = np.where(bounded, (np.where(bounded, lower, 0) + np.where(bounded, upper, 0)) / 2, 0.3)
-    return np.clip(middle + 0.4 * (-1.0) ** np.arange(robot.n_joints), lower, upper)
+    bends = np.minimum(bend, (upper - middle) / 2)
+    return middle + bends * (-1.0) ** np.arange(robot.n_joints)
 
 
 def _solve_arm(args: Namespace) -> tuple[Solution, list[tuple[str, object]], Path]:

@@ -23,6 +23,9 @@ from kpirl_ocp.types import Array
 BOTTLE_LENGTH = 0.25  # [m]
 _WORKSPACE = np.array([[0.46, 0.40], [0.78, 0.80]])  # of the bottle in front of the iiwa, x and z [m]
 _VIEW = np.array([0.0, -1.45, 0.08])  # from the bottle to the camera of another arm than the iiwa [m]
+_BEND = (
+    1.0  # of the joints of another arm [rad]: nearer to stretched, three joints hardly move the bottle along themselves
+)
 _MARGIN = 5.0  # keypoints stay this far inside the image [pixels]
 _AWAY = 0.08  # other starts from the first, and the first from joint limits, at most and at least [rad]
 _MOST = 0.3  # largest displacement of a joint in one step [rad]
@@ -161,7 +164,7 @@ def _start_for(iiwa: Robot, camera: Camera, way: Array) -> Array:
 
 def _elsewhere(name: str, flange: str, robot: Robot) -> tuple[Camera, Array]:
     """A camera beside the bottle of another arm, and a bent posture."""
-    start = bent_posture(robot)
+    start = bent_posture(robot, _BEND)
     with _scene(name, flange, robot, Camera()) as scene:
         scene.reset(start)
         _, position = scene.link_pose(BOTTLE)

@@ -81,21 +81,27 @@ def _rate_for(actions: Array) -> int:
     return slow_enough[-1]
 
 
-def shortfall(arm: Arm, way: Array, start: Array, run: Executed) -> str:
+def shortfall(arm: Arm, way: Array, start: Array, run: Executed, *, reused: bool) -> str:
     """The reason why an execution stays far from the demonstration (arm, cost or motors), and what to do about it.
 
-    way, start: as in `execute`.
+    way, start: as in `execute`. reused: the cost was not learned from this demonstration.
     """
     try:
         best = check_reach(arm.setting, arm.robot, camera_demonstration(arm.setting, arm.robot, start, way))
     except DemonstrationError as error:
         return str(error)
     if run.planned >= ALLOWED:
+        remedy = (
+            "it was learned from something else, and this film may show another motion: learn from this one, without "
+            "--cost"
+            if reused
+            else "learn longer (--iterations), or from a shorter part of the film (--start, --end)"
+        )
         return (
             f"the arm could stay {best:.1%} of the way from the path, the plan of the cost stays {run.planned:.1%}: "
-            "learn longer (--iterations), or from a shorter part of the film (--start, --end)."
+            f"{remedy}."
         )
+    remedy = "learn a cost of more steps (--steps, without --cost)" if reused else "plan more steps (--steps)"
     return (
-        f"the plan stays {run.planned:.1%} of the way from the path, and the motors do not keep up with it: "
-        "plan more steps (--steps)."
+        f"the plan stays {run.planned:.1%} of the way from the path, and the motors do not keep up with it: {remedy}."
     )

@@ -15,7 +15,7 @@ from kpirl_ocp.figures import COLOURS, save
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.tracking.tracks import Tracks
-from kpirl_ocp.types import Array
+from kpirl_ocp.types import Array, Mask
 
 _TRAIL = 30  # frames of the past that a track shows
 _COLUMNS = 4
@@ -90,6 +90,19 @@ def track_sheet(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Trac
         axis.set_title(f"{tracks.times[index]:.2f} s, seen {tracks.confidence[index].mean():.0%}", fontsize=9)
     for axis in axes:
         axis.set_axis_off()
+    return save(figure, path)
+
+
+def draw_object(path: Path, image: Frames, mask: Mask) -> Path:
+    """Write a picture of an image (H, W, 3) with the outline of an object (H, W), and its pixels along the sides."""
+    height, width = mask.shape
+    figure = Figure(figsize=(8.0, 8.0 * height / width + 0.4), layout="constrained")
+    axis = figure.subplots()
+    axis.imshow(image, extent=(0, width, height, 0))
+    for colour, thickness in (("white", 3.0), (COLOURS[0], 1.2)):  # seen on any ground
+        axis.contour(np.arange(width) + 0.5, np.arange(height) + 0.5, mask, [0.5], colors=colour, linewidths=thickness)
+    axis.set(xlabel="x [pixels]", ylabel="y [pixels]")
+    axis.locator_params(nbins=16)
     return save(figure, path)
 
 
