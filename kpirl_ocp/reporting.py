@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.episodes import write_whole
 
 _PACKAGES = ("kpirl-ocp", "casadi", "pin", "numpy", "scipy", "pybullet", "torch")
+_STOPS = (signal.SIGINT, signal.SIGTERM)
 
 
 def write_metrics(directory: Path, settings: Mapping[str, Any], results: Mapping[str, Any]) -> Path:
@@ -56,15 +57,23 @@ def deaf_children() -> Iterator[None]:
 
     Ignoring is what they inherit, so that this process does not hear them either while they start.
     """
-    if threading.current_thread() is not threading.main_thread():  # which alone may say so
+    with signals_kept():
+        if threading.current_thread() is threading.main_thread():  # which alone may say so
+            for number in _STOPS:
+                signal.signal(number, signal.SIG_IGN)
         yield
-        return
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+
+
+@contextlib.contextmanager
+def signals_kept() -> Iterator[None]:
+    """A block after which Ctrl-C and SIGTERM do what they did before, whatever handles them within."""
+    before = {number: signal.getsignal(number) for number in _STOPS}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 def _version(package: str) -> str:

@@ -131,6 +131,26 @@ def test_an_hdf5_file_that_announces_gigabytes_is_refused(tmp_path, frugal):
         robomimic.read_robomimic(tmp_path / "bomb.hdf5", rate=20.0)
 
 
+@pytest.mark.parametrize("link", ["soft", "hard"])
+def test_an_hdf5_file_that_links_one_array_many_times_is_refused(tmp_path, link):
+    """Neither kind of link is counted when the file's arrays are visited."""
+    h5py = pytest.importorskip("h5py")
+    robomimic = pytest.importorskip("kpirl_ocp.perception.data.formats.robomimic")
+    with h5py.File(tmp_path / "bomb.hdf5", "w") as file:
+        file.create_dataset("one", (2**18, 1), "f8", chunks=(2**16, 1), compression="gzip")
+        for number in range(80):
+            file[f"data/demo_{number}/actions"] = h5py.SoftLink("/one") if link == "soft" else file["one"]
+    with pytest.raises(FileError, match=r"bomb\.hdf5 cannot be read: it unpacks to 0\.1 GiB"):
+        robomimic.read_robomimic(tmp_path / "bomb.hdf5", rate=20.0)
+
+
+def test_a_csv_file_of_very_many_cells_is_refused(tmp_path, frugal):
+    plain = pytest.importorskip("kpirl_ocp.perception.data.formats.plain")
+    (tmp_path / "run.csv").write_text("u\n" + "1," * 2**22)
+    with pytest.raises(FileError, match=r"run\.csv cannot be read as CSV: it unpacks to"):
+        plain.read_csv(tmp_path / "run.csv", {"u": ["u"]}, rate=1.0)
+
+
 def png(width, height):
     """A whole PNG file of black pixels."""
 

@@ -1,10 +1,13 @@
 """Ctrl-C and SIGTERM end every command and script in one line that says what was saved, and that can be used."""
 
+import os
 import re
 import runpy
 import signal
 import subprocess
 import sys
+import time
+import uuid
 from importlib import import_module
 from pathlib import Path
 
@@ -204,3 +207,84 @@ def test_ctrl_c_within_code_that_is_executed_from_text_has_the_exit_code_of_ctrl
         [sys.executable, *start, "solve", f"{mine}:problem", "--out", str(tmp_path)], capture_output=True, text=True
     )
     assert (done.returncode, done.stderr) == (130, "\ninterrupted: nothing was saved.\n")
+
+
+SWEEP = """
+import runpy
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, sys.argv[1])
+from reproduction import paper, sweep
+
+
+def wait(number, free):
+    while number > 2 and not Path(free).exists():
+        time.sleep(0.1)
+    return {"twice": 2 * number}
+
+
+def reproduce(args):
+    jobs = [sweep.Job(f"{number}", wait, {"number": number, "free": f"{args.out}/free"}) for number in range(8)]
+    with sweep.backend(args.backend, args.address, args.jobs) as runner:
+        paper.Stages(args.out, runner)("waiting", jobs)
+
+
+paper.reproduce = reproduce
+sys.argv[:2] = [f"{sys.argv[1]}/reproduce_paper.py"]
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize(
+    ("backend", "send"),
+    [
+        ("loky", lambda process: os.kill(process, signal.SIGTERM)),
+        ("dask", lambda process: os.killpg(process, signal.SIGINT)),  # as a terminal does
+        ("ray", lambda process: os.kill(process, signal.SIGTERM)),
+    ],
+    ids=["loky, SIGTERM", "dask, Ctrl-C", "ray, SIGTERM"],
+)
+def test_a_sweep_on_a_cluster_ends_in_one_line_leaves_no_process_and_goes_on(backend, send, tmp_path):
+    for package in ("torch", *{"dask": ["distributed"], "ray": ["ray"]}.get(backend, ())):
+        pytest.importorskip(package)
+    (tmp_path / "sweep.py").write_text(SWEEP)
+    words = [tmp_path / "sweep.py", SCRIPTS, "--backend", backend, "--jobs", "2", "--out", tmp_path / "out"]
+    mark = uuid.uuid4().hex
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "start_new_session": True}
+    process = subprocess.Popen([sys.executable, "-u", *words], env=os.environ | {"KPIRL_MARK": mark}, **options)
+    while len([*tmp_path.glob("out/results/*.npz")]) < 3:
+        assert process.poll() is None, process.communicate()[0].decode()
+        time.sleep(0.1)
+    send(process.pid)
+    rest, _ = process.communicate(timeout=120)
+    assert process.returncode == 130, rest.decode()
+    lines = rest.decode().replace("\r", "\n").splitlines()
+    assert [line for line in lines if line and "%|" not in line and "INFO" not in line] == [  # Ray's
+        f"interrupted: finished parts are in {tmp_path}/out; the same command goes on."
+    ]
+    assert not still_running(mark, 30)
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "out/results").iterdir()}
+    assert [path.name.split("-")[0] for path in sorted(kept)] == ["0", "1", "2"]
+
+    (tmp_path / "out/free").touch()
+    again = subprocess.run([sys.executable, *words], capture_output=True, text=True, timeout=300)
+    assert again.returncode == 0, again.stderr
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert len([*(tmp_path / "out/results").iterdir()]) == 8
+
+
+def still_running(mark, seconds):
+    """Processes with this mark in their environment, after that many seconds at most."""
+    end = time.monotonic() + seconds
+    while (left := [path for path in Path("/proc").glob("[0-9]*") if marked(path, mark)]) and time.monotonic() < end:
+        time.sleep(0.2)
+    return [(path / "cmdline").read_text() for path in left]
+
+
+def marked(process, mark):
+    try:
+        return mark.encode() in (process / "environ").read_bytes()
+    except OSError:  # it has ended
+        return False

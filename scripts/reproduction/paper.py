@@ -144,8 +144,8 @@ def reproduce(args: Namespace) -> None:
     seeds = args.seeds or ([0] if args.preset == "tiny" else [0, 1, 2])
     models = Models.find(args.models)
     sizes = (max(preset.demonstrations) + preset.tests, preset.validation, len(seeds))
-    material = data.prepare(out / "data", models, *sizes, workers=args.jobs)
-    with backend(args.backend, args.address, args.jobs) as runner:
+    with backend(args.backend, args.address, args.jobs) as runner:  # a wrong address is said before data are made
+        material = data.prepare(out / "data", models, *sizes, workers=args.jobs)
         outcome = experiments(models, material, preset, seeds, Stages(out, runner))
 
     settings = vars(args) | {"seeds": seeds, "preset": asdict(preset), "models": asdict(models)}

@@ -10,11 +10,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import inspect
+import logging
 import socket
 import tempfile
+import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
@@ -28,7 +30,7 @@ from tqdm import tqdm
 import kpirl_ocp
 from kpirl_ocp.episodes import atomic_write, check_archive
 from kpirl_ocp.errors import DependencyError, FileError, ProblemError
-from kpirl_ocp.reporting import deaf_children
+from kpirl_ocp.reporting import deaf_children, signals_kept
 
 Result = dict[str, Any]
 # What jobs are made of: workers elsewhere have the package installed, but not these, and are sent them.
@@ -51,8 +53,9 @@ class Job:
         return directory / f"{self.name}-{key[:16]}.npz"
 
 
-Runner = Callable[[Sequence[Job]], Iterator[tuple[str, Result]]]
-"""Runs jobs and gives names and results as they come."""
+Running = Generator[tuple[str, Result], None, None]
+Runner = Callable[[Sequence[Job]], Running]
+"""Runs jobs and gives names and results as they come; closing it stops them."""
 
 
 @lru_cache
@@ -72,9 +75,12 @@ def run_sweep(title: str, jobs: Sequence[Job], directory: Path, run: Runner) -> 
     missing = [job for job in jobs if not paths[job.name].exists()]
     for path in paths.values():
         path.parent.mkdir(parents=True, exist_ok=True)
-    for name, result in tqdm(run(missing), title, initial=len(jobs) - len(missing), total=len(jobs), unit="job"):
-        with atomic_write(paths[name]) as file:
-            np.savez_compressed(file, allow_pickle=False, **result)
+    bar: dict[str, Any] = {"desc": title, "initial": len(jobs) - len(missing), "total": len(jobs), "unit": "job"}
+    with warnings.catch_warnings(), contextlib.closing(run(missing)) as running:
+        warnings.filterwarnings("ignore", r"\d+ tasks which")  # joblib's, of jobs that an interruption cancels
+        for name, result in tqdm(running, **bar):
+            with atomic_write(paths[name]) as file:
+                np.savez_compressed(file, allow_pickle=False, **result)
     return {name: _read(path) for name, path in paths.items()}
 
 
@@ -125,10 +131,10 @@ def _loky(address: str | None, workers: int) -> Iterator[Runner]:
 
 
 def with_joblib(workers: int) -> Runner:
-    """Processes on this machine, or where joblib is configured to run."""
+    """Processes on this machine, or where joblib is configured to run now."""
     parallel = joblib.Parallel(workers, return_as="generator_unordered")
 
-    def run(jobs: Sequence[Job]) -> Iterator[tuple[str, Result]]:
+    def run(jobs: Sequence[Job]) -> Running:
         with deaf_children():
             return parallel(joblib.delayed(_call)(job) for job in jobs)
 
@@ -140,14 +146,20 @@ def _dask(address: str | None, workers: int) -> Iterator[Runner]:
     from dask.distributed import Client, LocalCluster
 
     with contextlib.ExitStack() as stack:
+        stack.callback(logging.disable, logging.NOTSET)
         if address is None:
-            cluster = LocalCluster(workers, threads_per_worker=1, dashboard_address=None)
-            address = stack.enter_context(cluster).scheduler_address
-        client = stack.enter_context(Client(address))
+            with deaf_children():
+                cluster = LocalCluster(workers, threads_per_worker=1, dashboard_address=":0")  # any that is free
+            client = stack.enter_context(Client(stack.enter_context(cluster)))
+            client.run(logging.getLogger("distributed.worker.state_machine").setLevel, "ERROR")  # of cancelled jobs
+        else:
+            client = stack.enter_context(Client(address))
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         client.upload_file(str(zip_scripts(directory / "kpirl_scripts.zip")))
-        stack.enter_context(joblib.parallel_config("dask", wait_for_workers_timeout=60))
-        yield with_joblib(workers)
+        stack.callback(logging.disable, logging.CRITICAL)  # of connections and workers that are being closed
+        with joblib.parallel_config("dask", wait_for_workers_timeout=60):
+            runner = with_joblib(workers)
+        yield runner
 
 
 @contextlib.contextmanager
@@ -155,9 +167,10 @@ def _ray(address: str | None, workers: int) -> Iterator[Runner]:
     import ray
 
     local = {} if address else {"num_cpus": workers, "include_dashboard": False}
-    ray.init(address=address or "local", runtime_env={"py_modules": [str(path) for path in SCRIPTS]}, **local)
+    with signals_kept():  # Ray's own handler of SIGTERM ends the process
+        ray.init(address=address or "local", runtime_env={"py_modules": [str(path) for path in SCRIPTS]}, **local)
 
-    def run(jobs: Sequence[Job]) -> Iterator[tuple[str, Result]]:
+    def run(jobs: Sequence[Job]) -> Running:
         task = ray.remote(_call)
         waiting = [task.remote(job) for job in jobs]
         while waiting:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kpirl_ocp.errors import DependencyError, EpisodeError, FileError
-from kpirl_ocp.perception.data.formats.take import Take, VideoPart
+from kpirl_ocp.perception.data.formats.take import Take, VideoPart, checked_rate, one_line, read_as
 from kpirl_ocp.perception.data.pictures import decode_picture
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.sizes import check_bytes, read_json, read_text
@@ -38,8 +38,17 @@ def read_lerobot(directory: str | Path, episodes: Sequence[int] | None = None) -
         EpisodeError: `pyarrow` is not installed, or a file, key or episode is missing or of another kind.
     """
     data_set = _DataSet(Path(directory))
-    numbers = range(len(data_set.episodes)) if episodes is None else episodes
-    return [data_set.take(number) for number in numbers]
+    with read_as("LeRobot data set", directory):
+        known = range(len(data_set.episodes))
+    if episodes is None:
+        return [data_set.take(number) for number in known]
+    return [data_set.take(_number(number)) for number in episodes]
+
+
+def _number(number: object) -> int:
+    if isinstance(number, bool) or not isinstance(number, int | np.integer):
+        raise EpisodeError(f"episodes must be whole numbers, got {number!r}.")
+    return int(number)
 
 
 def parquet() -> Any:
@@ -60,17 +69,21 @@ class _DataSet:
         try:
             info = read_json(path)
         except (OSError, ValueError) as error:
-            raise EpisodeError(f"{path} cannot be read; is {self.root} a LeRobot data set? ({error})") from error
+            raise EpisodeError(
+                f"{path} cannot be read; is {self.root} a LeRobot data set? ({one_line(error)})"
+            ) from error
+        if not isinstance(info, dict):
+            raise EpisodeError(f"{path} must hold an object, with names and values.")
         missing = [key for key in ("codebase_version", "fps", "features", "data_path") if key not in info]
         if missing:
             raise EpisodeError(f"{path} has no {', '.join(missing)}.")
         if not str(info["codebase_version"]).startswith(("v2.", "v3.")):
-            raise EpisodeError(f"{path}: version {info['codebase_version']} is not known, only v2.0 to v3.0.")
+            raise EpisodeError(f"{path}: version {info['codebase_version']!r} is not known, only v2.0 to v3.0.")
         return dict(info)
 
     @cached_property
     def rate(self) -> float:
-        return float(self.info["fps"])
+        return checked_rate(self.info["fps"])
 
     @cached_property
     def latest(self) -> bool:
@@ -90,8 +103,15 @@ class _DataSet:
     def take(self, number: int) -> Take:
         if not 0 <= number < len(self.episodes):
             raise EpisodeError(f"{self.root} has {len(self.episodes)} episodes; there is no number {number}.")
-        known = self.episodes[number]
-        table = self._rows(known)
+        known, place = self.episodes[number], f"{self.root}, episode {number}"
+        with read_as("take", place):
+            table = self._rows(known)
+            try:
+                return self._take(known, table)
+            except EpisodeError as error:
+                raise EpisodeError(f"{place}: {error}") from error
+
+    def _take(self, known: dict[str, Any], table: Any) -> Take:
         features = self.info["features"]
         arrays: dict[str, NDArray[Any]] = {}
         videos: dict[str, Frames | VideoPart] = {}
@@ -99,10 +119,10 @@ class _DataSet:
             if feature["dtype"] == "video":
                 videos[name] = self._video(known, name, table.num_rows)
             elif feature["dtype"] == "image":
-                videos[name] = _pictures(table.column(name).to_pylist(), f"{self.root}, {name}")
+                videos[name] = _pictures(table.column(name).to_pylist(), name)
             elif feature["dtype"] != "string" and name not in BOOKKEEPING:
-                arrays[name] = np.array(table.column(name).to_pylist(), feature["dtype"])
-        times = np.array(table.column("timestamp").to_pylist(), float)
+                arrays[name] = _numbers(table.column(name), name, np.dtype(feature["dtype"]))
+        times = _numbers(table.column("timestamp"), "timestamp", np.dtype(float))
         return Take(arrays, times - times[0], videos, "; ".join(known.get("tasks") or ()))
 
     def _rows(self, known: dict[str, Any]) -> Any:
@@ -115,10 +135,10 @@ class _DataSet:
         if missing:
             raise EpisodeError(f"{path} has no column {', '.join(missing)}.")
         if self.latest:
-            index = np.array(table.column("episode_index").to_pylist())
+            index = _numbers(table.column("episode_index"), "episode_index", np.dtype(np.int64))
             table = table.take(np.flatnonzero(index == number))
         if table.num_rows != known["length"]:
-            raise EpisodeError(f"{path} has {table.num_rows} steps of episode {number}, not {known['length']}.")
+            raise EpisodeError(f"{path} has {table.num_rows} steps of episode {number}, not {known['length']!r}.")
         return table
 
     def _video(self, known: dict[str, Any], name: str, count: int) -> VideoPart:
@@ -138,8 +158,8 @@ class _DataSet:
         try:
             with arrow.ParquetFile(path) as file:
                 return _whole(file)
-        except (OSError, ValueError) as error:  # pyarrow's own errors are ValueErrors
-            raise EpisodeError(f"{path} cannot be read as Parquet: {error}") from error
+        except (OSError, ValueError, NotImplementedError, KeyError, TypeError) as error:  # pyarrow's own are of these
+            raise EpisodeError(f"{path} cannot be read as Parquet: {one_line(error)}") from error
 
 
 def _whole(file: Any) -> Any:
@@ -155,6 +175,21 @@ def _whole(file: Any) -> Any:
     return arrow.Table.from_batches(batches) if batches else file.schema_arrow.empty_table()
 
 
+def _numbers(column: Any, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """The numbers (n, ...) of a column, or of lists of one length. Raises EpisodeError for anything else."""
+    values, shape = column.combine_chunks(), [len(column)]
+    while hasattr(values.type, "value_type"):
+        lengths = import_module("pyarrow.compute").list_value_length(values).unique().to_pylist()
+        if len(lengths) > 1 or values.null_count:
+            raise EpisodeError(f"{name}: all steps must have lists of one length, not of {lengths}.")
+        shape += lengths
+        values = values.flatten()
+    found = values.to_numpy(zero_copy_only=False)
+    if values.null_count or found.dtype.kind not in "biuf" or not np.can_cast(found.dtype, dtype, "same_kind"):
+        raise EpisodeError(f"{name} must hold numbers of the type {dtype}, not {values.type} or nothing.")
+    return found.astype(dtype).reshape(shape)
+
+
 def _announced(about: Any) -> int:
     return sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups))
 
@@ -163,7 +198,7 @@ def _lines(path: Path) -> Iterator[dict[str, Any]]:
     try:
         yield from (json.loads(line) for line in read_text(path).splitlines() if line.strip())
     except (OSError, ValueError, RecursionError) as error:
-        raise EpisodeError(f"{path} cannot be read as JSON lines: {error}") from error
+        raise EpisodeError(f"{path} cannot be read as JSON lines: {one_line(error)}") from error
 
 
 def _pictures(cells: Iterable[dict[str, Any]], place: str) -> Frames:
@@ -175,5 +210,5 @@ def _pictures(cells: Iterable[dict[str, Any]], place: str) -> Frames:
             images.append(decode_picture(content or b"", "a picture"))
             check_bytes(len(images) * images[-1].nbytes)
         except (FileError, ValueError) as error:
-            raise EpisodeError(f"{place}: {error}") from error
+            raise EpisodeError(f"{place}: {one_line(error)}") from error
     return np.array(images, np.uint8)

@@ -7,14 +7,19 @@ from collections.abc import Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from zipfile import BadZipFile
+from zlib import error as ZlibError
 
 import numpy as np
 
 from kpirl_ocp.episodes import check_archive
 from kpirl_ocp.errors import EpisodeError
-from kpirl_ocp.perception.data.formats.take import Take
-from kpirl_ocp.sizes import read_text
+from kpirl_ocp.perception.data.formats.take import Take, checked_rate, one_line
+from kpirl_ocp.sizes import check_bytes, read_text
 from kpirl_ocp.types import Array
+
+_CELL = 64  # [bytes] that Python takes for a cell of a table
+# KeyError, RuntimeError: of archives whose index is wrong, that are encrypted or packed in another way.
+_NO_ARRAYS = (OSError, ValueError, TypeError, AttributeError, KeyError, RuntimeError, EOFError, BadZipFile, ZlibError)
 
 
 def read_csv(
@@ -32,15 +37,20 @@ def read_csv(
         EpisodeError: a column is missing, or a cell is no number; it names the line.
     """
     try:
-        rows = list(csv.reader(StringIO(read_text(Path(path)), newline=""), skipinitialspace=True))
+        text = read_text(Path(path)).removeprefix("\ufeff")  # which spreadsheets write
+        check_bytes(_CELL * (text.count(",") + text.count("\n")))
+        rows = list(csv.reader(StringIO(text, newline=""), skipinitialspace=True))
     except (OSError, ValueError, csv.Error) as error:
-        raise EpisodeError(f"{path} cannot be read as CSV: {error}") from error
+        raise EpisodeError(f"{path} cannot be read as CSV: {one_line(error)}") from error
     header = [name.strip() for name in rows[0]] if rows else []
     wanted = [*(name for names in columns.values() for name in names), *([time] if time else [])]
     missing = [name for name in wanted if name not in header]
     if missing:
         raise EpisodeError(f"{path} has no column {', '.join(missing)}; it has {', '.join(header)}.")
     table = {name: _numbers(path, rows[1:], header.index(name), name) for name in wanted}
+    empty = [name for name, names in columns.items() if not names]
+    if empty:
+        raise EpisodeError(f"{path}: columns must name at least one column of {', '.join(empty)}.")
     arrays = {name: np.column_stack([table[column] for column in names]) for name, names in columns.items()}
     return _take(path, arrays, table[time] if time else None, rate, len(rows) - 1)
 
@@ -59,9 +69,9 @@ def read_npz(path: str | Path, *, time: str | None = None, rate: float | None = 
     try:
         check_archive(Path(path))
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except (OSError, ValueError, BadZipFile) as error:
-        raise EpisodeError(f"{path} cannot be read as plain arrays: {error}") from error
+            arrays = {name: np.atleast_1d(file[name]) for name in file.files}
+    except _NO_ARRAYS as error:
+        raise EpisodeError(f"{path} cannot be read as plain arrays: {one_line(error)}") from error
     if time is not None and time not in arrays:
         raise EpisodeError(f"{path} has no array {time!r}; it has {', '.join(arrays)}.")
     times = arrays.pop(time) if time is not None else None
@@ -73,13 +83,13 @@ def read_npz(path: str | Path, *, time: str | None = None, rate: float | None = 
 def _take(path: str | Path, arrays: Mapping[str, Array], times: Array | None, rate: float | None, count: int) -> Take:
     if (times is None) == (rate is None):
         raise EpisodeError(f"{path}: say either where the times are (time=...) or the rate (rate=... [Hz]).")
-    stamps = np.arange(count) / rate if times is None and rate is not None else np.asarray(times, float)
-    if (np.diff(stamps) <= 0).any():
-        raise EpisodeError(f"{path}: times do not rise from step {int(np.argmax(np.diff(stamps) <= 0)) + 1} on.")
+    if rate is not None:
+        times = np.arange(count) / checked_rate(rate)
     try:
-        return Take(arrays, stamps - stamps[:1])
-    except EpisodeError as error:
-        raise EpisodeError(f"{path}: {error}") from error
+        with np.errstate(invalid="ignore"):  # infinity is refused
+            return Take(arrays, np.asarray(times) - np.asarray(times)[:1])
+    except (EpisodeError, TypeError) as error:  # times that are no numbers
+        raise EpisodeError(f"{path}: {one_line(error)}") from error
 
 
 def _numbers(path: str | Path, rows: Sequence[Sequence[str]], index: int, name: str) -> Array:
