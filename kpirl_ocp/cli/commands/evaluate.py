@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from pathlib import Path
 
 import numpy as np
 
 from kpirl_ocp import figures
 from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.episodes import Episode, read_episodes
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import FileError, OptionError, ProblemError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.cases.tasks import as_demonstration
 from kpirl_ocp.irl.learning.evaluation import evaluate
@@ -18,16 +19,34 @@ from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.reporting import table, write_metrics
 
 
+def cost_of_the_iiwa(path: Path, robot: Robot) -> LearnedCost:
+    """The cost of a file that `kpirl learn` wrote. Raises OptionError if it is none, or is for something else."""
+    with of_option("--cost"):
+        learned = LearnedCost.read(path)
+        setting = learned.setting
+        if setting.robot != "iiwa" or setting.keypoints or setting.camera:
+            raise FileError(
+                f"{path} is for keypoints of {setting.robot}, seen or held: use `kpirl learn-video --cost`."
+            )
+        needed = learned.problem(robot).n_parameters
+        if learned.psi.size != needed:
+            raise FileError(f"{path} holds {learned.psi.size} numbers psi, and its cost has {needed}.")
+    return learned
+
+
 def main(args: Namespace) -> None:
     """Plan with both costs, and draw."""
     robot = Robot.iiwa()
-    with of_option("--cost"):
-        learned = LearnedCost.read(args.cost)
+    learned = cost_of_the_iiwa(args.cost, robot)
     with of_option("--demonstrations"):
         episodes, meta = read_episodes(args.demonstrations, Episode)
     if any(episode.horizon != learned.horizon for episode in episodes):
         raise ProblemError(f"{args.cost} plans {learned.horizon} steps; {args.demonstrations} has other lengths.")
-    tests = [as_demonstration(robot, episodes[index]) for index in meta.get("test", range(len(episodes)))]
+    shown = meta.get("test", list(range(len(episodes))))
+    if not isinstance(shown, list) or not shown or not all(i in range(len(episodes)) for i in shown):
+        place = f"--demonstrations: 'test' in {args.demonstrations}/meta.json"
+        raise OptionError(f"{place} must list some of the {len(episodes)} episodes")
+    tests = [as_demonstration(robot, episodes[index]) for index in map(int, shown)]
 
     # Default moves as far as the learned cost may: the same gradient steps, or the same mean effort.
     effort = learned.cost.weights(learned.psi, learned.horizon, 3 * robot.n_keypoints)[1]

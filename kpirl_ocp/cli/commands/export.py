@@ -7,9 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from kpirl_ocp.cli.sentences import of_option
+from kpirl_ocp.cli.commands.evaluate import cost_of_the_iiwa
 from kpirl_ocp.errors import OptionError
-from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.irl.cases.own import load_own
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
@@ -51,8 +50,7 @@ def network(horizon: int, seed: int) -> Exported:
 def learned(path: Path, seed: int) -> Exported:
     """The planning problem of a learned cost, and demonstrated starts with goals."""
     robot = Robot.iiwa()
-    with of_option("--cost"):
-        cost = LearnedCost.read(path)
+    cost = cost_of_the_iiwa(path, robot)
     episodes = demonstrate(robot, "placing", EXAMPLES, seed, cost.horizon)
     shown = [as_demonstration(robot, episode) for episode in episodes]
     return Exported(cost.problem(robot), cost.psi, [(d.s0, d.context) for d in shown], cost.solver)

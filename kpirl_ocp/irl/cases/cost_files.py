@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state
 from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Keypoint, Robot
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.statement.checks import horizon_of
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 from kpirl_ocp.ocp.solvers.riccati import Riccati
@@ -138,12 +140,13 @@ class LearnedCost:
                 learn_effort=content["learn_effort"],
                 positivity=content["positivity"],
             )
-            learned = cls(cost, np.array(content["psi"], float), content["horizon"], solver_of_json(content["solver"]))
+            psi, horizon = _numbers(content["psi"]), horizon_of(content["horizon"])
+            learned = cls(cost, psi, horizon, solver_of_json(content["solver"]))
             return replace(
                 learned,
                 setting=_setting_of_json(content.get("arm", {})),
-                start=np.array(content.get("start", ()), float),
-                displacement=np.array(content.get("displacement", ()), float),
+                start=_numbers(content.get("start", ())),
+                displacement=_numbers(content.get("displacement", ())),
                 rate=float(content.get("rate", 0.0)),
             )
         except FileNotFoundError:
@@ -152,6 +155,16 @@ class LearnedCost:
             raise FileError(f"{path} is not a learned cost: it has no {error}.") from error
         except (AttributeError, TypeError, ValueError) as error:
             raise FileError(f"{path} is not a learned cost: {error!r}.") from error
+
+
+def _numbers(values: Any) -> Array:
+    """A list of finite numbers (n,)."""
+    array = np.array(values, float)
+    if array.ndim != 1 or not np.isfinite(array).all():
+        raise ValueError(
+            f"expected a list of finite numbers, got {textwrap.shorten(str(values), 60, placeholder=' ..')}"
+        )
+    return array
 
 
 def make_basis(name: str) -> Basis:

@@ -92,9 +92,14 @@ def methods(case: Case, steps: list[int]) -> Iterator[tuple[str, int, Hypergradi
 
 
 def reference(case: Case) -> tuple[Array, float]:
-    """The gradient at a solution to 1e-12, certified, and how far finite differences are from it, relatively."""
+    """The gradient at a solution to 1e-12, certified, and how far finite differences are from it, relatively.
+
+    Raises ProblemError for a gradient of zero, to which nothing can be compared.
+    """
     exact, quotients = Implicit(Ipopt(tolerance=1e-12)), FiniteDifference(Ipopt(tolerance=1e-12), policy="flag")
     gradient = exact(case.problem, case.demonstration, case.psi).gradient
+    if not gradient.any():
+        raise ProblemError("the gradient is zero, as psi explains the observations: give another psi, or others.")
     independent = quotients(case.problem, case.demonstration, case.psi).gradient
     return gradient, relative_error(independent, gradient)
 
