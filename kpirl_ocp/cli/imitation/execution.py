@@ -95,8 +95,7 @@ def shortfall(arm: Arm, way: Array, start: Array, run: Executed, *, reused: bool
             "it was learned from something else, and this film may show another motion: learn from this one, without "
             "--cost"
             if reused
-            else "learn longer (--iterations) if learning ended at the last of them, or from a shorter part of the film "
-            "(--start, --end)"
+            else "learn longer (--iterations) if it used them all, or from a shorter part of the film (--start, --end)"
         )
         return (
             f"the arm could stay {best:.1%} of the way from the path, the plan of the cost stays {run.planned:.1%}: "
