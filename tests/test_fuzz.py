@@ -6,9 +6,13 @@ import casadi as ca
 import numpy as np
 import pytest
 from statements import CASES, PLAIN, P, S, U, state
+from test_identifiability import Q, R, one_step, planned
 
-from kpirl_ocp import OCP, SQP, Fatrop, GradientDescent, Ipopt, Riccati, Soft, Trajectory
+from kpirl_ocp import OCP, SQP, Fatrop, GradientDescent, Implicit, Ipopt, Riccati, Soft, Trajectory
 from kpirl_ocp.errors import KpirlError
+from kpirl_ocp.irl.identifiability.identify import identify
+from kpirl_ocp.ocp.problem.statement.continuous import discretise
+from kpirl_ocp.types import Demonstration
 
 NUMBERS = [0, 1, -1, 1.5, np.nan, np.inf, -np.inf, 1e300, 10**30, True, 1j, np.float32(2)]
 WORDS = ["", "a", b"x", None, {}, {"a": 1}, object(), int, len, range(3)]
@@ -57,3 +61,55 @@ def test_arguments_of_anything(seed):
             count += refused(lambda s=solver, p=problem, a=arguments | changes: s.solve(p, **a))
         count += refused(lambda p=problem, c=changes: p.simulate([0, 0], next(iter(c.values())), [0.3]))
     assert count > 5
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_identification_of_anything(seed):
+    draw, count, seen = random.Random(seed), 0, planned()
+    anything = [*ANYTHING, state(), seen, [seen, None], [Demonstration([0], [], [[0]])]]
+    arguments = {"problem": one_step(), "demonstrations": [seen], "psi": [Q, R], "spread": 1.0, "noise": 1.0}
+    arguments["method"] = Implicit(policy="flag")
+    found = identify(**arguments)
+    for _ in range(30):
+        name, value = draw.choice(list(arguments)), draw.choice(anything)
+        count += refused(lambda n=name, v=value: identify(**(arguments | {n: v})))
+        ask = draw.choice([found.known, found.determined, found.intervals, found.credible_intervals])
+        count += refused(lambda a=ask, v=value: a(v))
+        count += refused(lambda v=value: found.intervals(0.9, v))
+    assert count > 40
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_discretisations_of_anything(seed):
+    draw, count, s, u = random.Random(seed), 0, ca.MX.sym("s", 2), ca.MX.sym("u")
+    arguments = {"ode": ca.vertcat(s[1], u), "state": s, "step": 0.1, "method": "rk4", "intervals": 1, "degree": 3}
+    arguments |= {"algebraic": None, "residual": None}
+    for _ in range(60):
+        changes = {"method": draw.choice(["rk4", "midpoint", "collocation"])}
+        changes[draw.choice(list(arguments))] = draw.choice([value for value in ANYTHING if not huge(value)])
+        count += refused(lambda c=changes: discretise(**(arguments | c)))
+    assert count > 30
+
+
+def huge(value):
+    return type(value) is int and value > 10**6
+
+
+@pytest.mark.parametrize("solver", SOLVERS[:1] + SOLVERS[3:4], ids=repr)
+def test_arrays_of_jax(solver):
+    """They are numbers like others; what has none yet, as under jit, is refused."""
+    jax = pytest.importorskip("jax")
+    problem, count = state(), 0
+    arguments = {"s0": [0, 0], "psi": [0.05, 0.3][: problem.n_parameters], "context": [], "guess": None}
+    values = [[1.0, 2.0], [[1.0], [2.0]], [], 1.0, [np.nan, 1], [1j, 2], [True, False]]
+    values = [*map(jax.numpy.asarray, values), jax.ShapeDtypeStruct((2,), float)]
+    for name in arguments:
+        for value in values:
+            count += refused(lambda n=name, v=value: solver.solve(problem, **(arguments | {n: v})))
+    assert count > 12
+    np.testing.assert_array_equal(
+        solver.solve(problem, **(arguments | {"s0": values[0]})).actions,
+        solver.solve(problem, **(arguments | {"s0": [1.0, 2.0]})).actions,
+    )
+    traced = jax.jit(lambda s0: solver.solve(problem, **(arguments | {"s0": s0})).actions)
+    assert refused(lambda: traced(values[0]))

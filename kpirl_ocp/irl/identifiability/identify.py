@@ -26,6 +26,7 @@ from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 from kpirl_ocp.irl.hypergradients.loss import demonstrated_observations
 from kpirl_ocp.irl.identifiability.plan_jacobian import CONVERGED, plan_jacobian
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.statement.checks import number, numbers, shown, vector
 from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration, Mask
 
@@ -77,7 +78,7 @@ class Identification(Brief):
 
     def known(self, noise: float | None = None) -> int:
         """Number of directions that the data confine to less than the spread, at this noise (default: `self.noise`)."""
-        sigma = self.noise if noise is None else noise
+        sigma = self.noise if noise is None else _noise(noise)
         return int((self._resolved & (self.eigenvalues > sigma**2)).sum())
 
     @property
@@ -114,18 +115,18 @@ class Identification(Brief):
         return self._around(rows, self._posterior_deviations(rows), level)
 
     def _rows(self, combinations: ArrayLike | None) -> Array:
-        rows = np.eye(len(self.psi)) if combinations is None else np.atleast_2d(np.asarray(combinations, float))
-        if rows.shape[1:] != self.psi.shape:
-            raise ProblemError(f"combinations must be (m, n_psi) = (m, {len(self.psi)}), got {rows.shape}.")
+        given = np.eye(len(self.psi)) if combinations is None else numbers("combinations", combinations)
+        rows = np.atleast_2d(given)
+        if rows.shape[1:] != self.psi.shape or not np.isfinite(rows).all():
+            raise ProblemError(f"combinations must be finite and (m, n_psi) = (m, {len(self.psi)}), got {rows.shape}.")
         return rows
 
     def _posterior_deviations(self, rows: Array) -> Array:
         return np.sqrt(np.einsum("ij,jk,ik->i", rows, self.posterior, rows))
 
     def _around(self, rows: Array, deviations: Array, level: float) -> Array:
-        if not 0 < level < 1:
-            raise ProblemError(f"level must be between 0 and 1, got {level!r}.")
-        reach = stats.t.ppf(0.5 + level / 2, self.freedom) * deviations
+        share = number("level", level, "between 0 and 1", 0, 1)
+        reach = stats.t.ppf(0.5 + share / 2, self.freedom) * deviations
         return (rows @ self.psi)[:, None] + reach[:, None] * [-1.0, 1.0]
 
     @property
@@ -157,21 +158,28 @@ def identify(
         ProblemError: no demonstrations, a spread or noise that is not positive, or too few observations to estimate
             the noise from.
     """
-    psi = np.asarray(psi, float).ravel()
+    if not isinstance(problem, OCP):
+        raise ProblemError(f"problem must be an OCP, got {shown(problem)}.")
+    if not problem.n_parameters:
+        raise ProblemError("problem must have parameters: there is nothing to identify.")
+    if not isinstance(demonstrations, Sequence) or not all(isinstance(one, Demonstration) for one in demonstrations):
+        raise ProblemError(f"demonstrations must be a sequence of Demonstration, got {shown(demonstrations)}.")
     if not demonstrations:
         raise ProblemError("identify needs at least one demonstration.")
+    psi = vector("psi", psi, problem.n_parameters)
     units = _spread(spread, len(psi))
-    if not (noise is None or 0 < noise < np.inf):
-        raise ProblemError(f"noise must be positive and finite, got {noise!r}.")
+    given = None if noise is None else _noise(noise)
     plans = [plan_jacobian(problem, demonstration, psi, method) for demonstration in demonstrations]
     pairs = zip(plans, demonstrations, strict=True)
     residuals = np.concatenate(
         [demonstrated_observations(problem, demo).T[1:].ravel() - plan.observations for plan, demo in pairs]
     )
     jacobian = np.vstack([plan.jacobian for plan in plans])
+    if not (np.isfinite(jacobian).all() and np.isfinite(residuals).all()):
+        raise ProblemError(f"psi must have plans that are finite and can be differentiated; {shown(psi)} has none.")
     information = jacobian.T @ jacobian
     eigenvalues = np.asarray(np.linalg.eigvalsh(units.T @ information @ units), float)
-    sigma, freedom = (noise, np.inf) if noise is not None else estimate_noise(residuals, eigenvalues)
+    sigma, freedom = (given, np.inf) if given is not None else estimate_noise(residuals, eigenvalues)
     return Identification(
         psi=psi,
         information=information,
@@ -183,13 +191,21 @@ def identify(
     )
 
 
+def _noise(noise: ArrayLike) -> float:
+    return number("noise", noise, "positive and finite, below 1e100", 0, 1e100)
+
+
 def _spread(spread: ArrayLike, n: int) -> Array:
     """S (n, n). Raises ProblemError unless it is finite and invertible."""
-    given = np.asarray(spread, float)
-    S = given if given.ndim == 2 else np.diag(np.broadcast_to(given, (n,)))
-    fits = S.shape == (n, n) and bool(np.isfinite(S).all()) and (given.ndim == 2 or bool((given > 0).all()))
-    if not fits or np.linalg.matrix_rank(S / np.linalg.norm(S, axis=1, keepdims=True)) < n:  # in whatever units
-        raise ProblemError(f"spread must be positive, a number or ({n},), or an invertible ({n}, {n}); got {spread!r}.")
+    given = numbers("spread", spread)
+    S = np.diag(np.broadcast_to(given, (n,))) if given.shape in ((), (1,), (n,)) else given
+    lengths = np.linalg.norm(S, axis=-1, keepdims=True)
+    positive = given.ndim == 2 or bool((given > 0).all())
+    fits = S.shape == (n, n) and positive and bool(((lengths > 1e-100) & (lengths < 1e100)).all())
+    if not fits or np.linalg.matrix_rank(S / lengths) < n:  # in whatever units
+        raise ProblemError(
+            f"spread must be positive, a number or ({n},), or an invertible ({n}, {n}); got {shown(spread)}."
+        )
     return S
 
 

@@ -36,6 +36,14 @@ def numbers(name: str, value: ArrayLike) -> Array:
     raise ProblemError(f"{name} must be an array of numbers, got {shown(value)}.")
 
 
+def number(name: str, value: ArrayLike, expected: str, lower: float, upper: float = np.inf) -> float:
+    """A number strictly between two others. Raises ProblemError, which says what was `expected`, for anything else."""
+    found = numbers(name, value)
+    if found.shape or not lower < found < upper:
+        raise ProblemError(f"{name} must be {expected}, got {shown(value)}.")
+    return float(found)
+
+
 def vector(name: str, value: ArrayLike, *lengths: int) -> Array:
     """A float64 vector of one of these lengths, in memory of its own: later changes of `value` leave it as it is.
 

@@ -9,10 +9,13 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.statement.checks import number, shown
 from kpirl_ocp.ocp.problem.statement.expressions import Expression, identity
+from kpirl_ocp.sizes import LONGEST
 
 _TOLERANCE = 1e-12  # of the equations of an implicit step
 _ADAPTIVE = {"abstol": 1e-11, "reltol": 1e-11}
+_HIGHEST = 9  # degree of collocation in CasADi
 _METHODS = ("rk4", "midpoint", "collocation", "cvodes", "idas")
 
 
@@ -46,20 +49,50 @@ def discretise(
     Raises:
         ProblemError: no such method, a method that does not fit the equations, or shapes that do not fit.
     """
-    if method not in _METHODS:
-        raise ProblemError(f"method must be one of {', '.join(_METHODS)}; got {method!r}.")
-    if intervals < 1 or degree < 1:
-        raise ProblemError(f"intervals and degree must be at least 1, got {intervals!r} and {degree!r}.")
-    if ode.shape != state.shape:
-        raise ProblemError(f"ode must have the shape of the state, {state.shape}, got {ode.shape}.")
+    if not isinstance(method, str) or method not in _METHODS:
+        raise ProblemError(f"method must be one of {', '.join(_METHODS)}; got {shown(method)}.")
+    if not _counts(intervals, LONGEST) or not _counts(degree, _HIGHEST):
+        raise ProblemError(
+            f"intervals and degree must be at least 1, whole numbers, degree at most {_HIGHEST}; "
+            f"got {shown(intervals)} and {shown(degree)}."
+        )
     if (algebraic is None) != (residual is None):
         raise ProblemError("algebraic and residual must be given together.")
-    if algebraic is not None and method in ("rk4", "cvodes"):
-        raise ProblemError(f"method {method!r} knows no algebraic variables: use 'collocation', 'midpoint' or 'idas'.")
+    _check_symbols("state", state, type(state))
+    _check_expression("ode", "the shape of the state", ode, type(state), state.shape)
+    if not isinstance(step, ca.SX | ca.MX):
+        number("step", step, "a number that is finite, or an expression", -np.inf)
+    else:
+        _check_expression("step", "the shape of a number", step, type(state), (1, 1))
+    if algebraic is not None:
+        if method in ("rk4", "cvodes"):
+            raise ProblemError(
+                f"method {method!r} knows no algebraic variables: use 'collocation', 'midpoint' or 'idas'."
+            )
+        _check_symbols("algebraic", algebraic, type(state))
+        _check_expression("residual", "the shape of algebraic", residual, type(state), algebraic.shape)
     if method != "rk4" and not isinstance(state, ca.MX):
         raise ProblemError(f"method {method!r} needs casadi.MX symbols.")
     equations = _Equations(ode, residual, state, algebraic, step)
     return equations.rk4(intervals) if method == "rk4" else equations.integrated(method, intervals, degree)
+
+
+def _counts(value: object, most: int) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(1 <= value <= most)
+
+
+def _check_symbols(name: str, value: Any, kind: type[Any]) -> None:
+    if kind not in (ca.SX, ca.MX) or not isinstance(value, kind):
+        raise ProblemError(f"{name} must be a column of CasADi symbols, like the state, got {shown(value)}.")
+    if not value.is_column() or not value.numel() or not value.is_valid_input():
+        raise ProblemError(f"{name} must be a column of CasADi symbols, got {shown(value)}.")
+
+
+def _check_expression(name: str, like: str, value: Any, kind: type[Any], shape: tuple[int, int]) -> None:
+    if not isinstance(value, kind):
+        raise ProblemError(f"{name} must be a casadi.{kind.__name__} expression, as the state is, got {shown(value)}.")
+    if value.shape != shape:
+        raise ProblemError(f"{name} must have {like}, {shape}, got {value.shape}.")
 
 
 @dataclass(frozen=True, eq=False)
