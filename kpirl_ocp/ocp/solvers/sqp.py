@@ -1,7 +1,7 @@
 """Sequential quadratic programming on the multiple-shooting program: CasADi's `sqpmethod` with its QP solver `qrqp`.
 
-Slower than `riccati`, because it knows nothing of stages; but all of it is code that CasADi generates. If the Hessian
-of a stage is not positive, its negative eigenvalues change sign, and problems far from convex take many steps.
+Slower than `riccati`, because its quadratic programs know nothing of stages, and slow where hundreds of bounds become
+active; but all of it is code that CasADi generates. Hessians are those of `conditions.curvature`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.interrupts import call_solver
 from kpirl_ocp.ocp.conditions.audit import audit
+from kpirl_ocp.ocp.conditions.curvature import hessian
 from kpirl_ocp.ocp.conditions.program import (
     limits_from,
     not_started,
@@ -36,14 +37,17 @@ _GAVE_UP = (Status.STALLED, Status.ITERATION_LIMIT)
 
 @dataclass(frozen=True)
 class SQP:
-    """Exact Hessians, made convex where they are not, for every problem; warm start from a `Solution`.
+    """Exact Hessians, with a weight where they bend down, for every problem; warm start from a `Solution`.
+
+    Steps are shortened to a third at most, because the penalty of the merit function never falls: far from a solution
+    the violation may grow, and a start may fail that `Riccati` solves.
 
     tolerance: on `KKTResiduals.worst`.
     max_iterations: quadratic programs before it gives up.
     """
 
     tolerance: float = 1e-8
-    max_iterations: int = 50
+    max_iterations: int = 200
 
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < np.inf or self.max_iterations < 1:
@@ -107,7 +111,7 @@ class SQP:
 
 
 def _statistics(solver: ca.Function) -> tuple[int, str]:
-    """Iterations and CasADi's word, which is missing where a quadratic program or an eigenvalue was not found."""
+    """Iterations and CasADi's word, which is missing where a quadratic program was not solved."""
     try:
         stats = solver.stats()
     except RuntimeError:
@@ -122,16 +126,16 @@ def program(problem: OCP, solver: SQP) -> ca.Function:
     w, *numbers = transcribed.symbols
     objective = transcribed.values(*transcribed.symbols)[0]
     inputs = {"x": w, "p": ca.vertcat(*numbers), "f": objective, "g": transcribed.rows}
-    return ca.nlpsol("sqp", "sqpmethod", inputs, _options(solver))
+    return ca.nlpsol("sqp", "sqpmethod", inputs, _options(solver) | {"hess_lag": hessian(problem)})
 
 
 def _options(solver: SQP) -> dict[str, Any]:
     quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     return {
         "qpsol": "qrqp",
-        "qpsol_options": quiet,
-        "convexify_strategy": "eigen-reflect",
-        "max_iter_eig": 2000,  # the default gives up on stages of 20 unknowns
+        # it marks degenerate bounds as active by the smallest numbers there are, which do not last
+        "qpsol_options": quiet | {"min_lam": 1e-12},
+        "max_iter_ls": 6,  # 0.8^5 = 0.33
         "max_iter": solver.max_iterations,
         "tol_pr": solver.tolerance,
         "tol_du": solver.tolerance,
