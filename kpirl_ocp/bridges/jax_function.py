@@ -3,7 +3,7 @@
     plan = ocp_function(problem)
     states, actions, value = plan(psi, s0, context)   # under jit, grad and vmap
 
-Solves run outside JAX (`jax.pure_callback`), a batch in parallel threads; needs `jax.config.update("jax_enable_x64",
+Solves run outside JAX (`jax.pure_callback`), a batch over threads; needs `jax.config.update("jax_enable_x64",
 True)` for float64, without which numbers are rounded to float32 on the way in and out.
 """
 

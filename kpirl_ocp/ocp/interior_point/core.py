@@ -92,16 +92,14 @@ class Core:
             self._code = code
             self._model = self._make_model()
             self._library.kpirl_mpc_core_set_model(self._core, ctypes.addressof(self._model))
-        kept = [[np.require(array, float, ("C", "A")) for array in numbers] for *numbers, _ in given]
+        kept = [[np.require(array, float, ("C", "A")) for array in each] for *each, _ in given]
         begun = [[np.require(array, float, ("C", "A")) for array in self._start(guess)] for *_, guess in given]
         found = [self._results.empty() for _ in given]
-        arrays = (
-            _array(c.Numbers, [(*map(c.address_of, numbers), c.address_of(self._schedule)) for numbers in kept]),
-            options,
-            _array(c.Start, [tuple(map(c.address_of, start)) for start in begun]),
-            results := _array(c.Result, [self._results.places(values) for values in found]),
-        )
-        self._library.kpirl_mpc_solve_each(self._core, len(given), *map(ctypes.addressof, arrays))
+        numbers = _array(c.Numbers, [(*map(c.address_of, each), c.address_of(self._schedule)) for each in kept])
+        starts = _array(c.Start, [tuple(map(c.address_of, start)) for start in begun])
+        results = _array(c.Result, [self._results.places(values) for values in found])
+        arrays = map(ctypes.addressof, (numbers, options, starts, results))
+        self._library.kpirl_mpc_solve_each(self._core, len(given), *arrays)
         self._evaluations += sum(2 * (result.iterations + 1) * self.problem.horizon for result in results)
         read = zip(given, found, results, strict=True)
         return [self._results.solution(*each, options.barrier) for each in read]
