@@ -31,14 +31,19 @@ def measure(profile: Profile) -> Part:
         "solves of one problem": (_solve, profile.solves),
         "different problems, solved and differentiated": (_problem, profile.problems),
     }
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
-        found = {name: pool.submit(_grow, name, *task).result() for name, task in tasks.items()}
+    found = {name: _alone(_grow, name, *task) for name, task in tasks.items()}
     rows = [
         [name, tasks[name][1], *(f"{found[name][key]:.1f}" for key in ("middle", "end")), found[name]["handles"]]
         for name in tasks
     ]
     header = ["", "how many", f"memory after {100 * _FULL:.0f} % [MB]", "at the end [MB]", "more open files"]
     return Part(found, [Table("Long lives of one process", header, rows)])
+
+
+def _alone(work: Callable[..., dict[str, float]], *arguments: object) -> dict[str, float]:
+    """The result of a function in a new process."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(work, *arguments).result()
 
 
 def _grow(name: str, act: Callable[[int], None], count: int) -> dict[str, float]:
