@@ -103,7 +103,7 @@ def workplace(tmp_path_factory):
     np.savez(here / "cotracker.npz", tracks=dense.T.reshape(108, 4, 2), visibility=np.ones((108, 4)))
     with HandScene() as scene:
         seen = scene.film(placing_path(np.random.default_rng(0), rate=10))
-    write_video(here / "person.mp4", seen, 10, codec="h264")
+    write_video(here / "person.mp4", seen, 10, codec="h264", quality=0)  # x264 differs from run to run
     for name, model in (("detector", "detector"), ("mine", "detector"), ("placing", "placing"), ("arm", "placing")):
         card = shipped_model(model)
         for suffix in (".json", ".safetensors"):
@@ -137,7 +137,7 @@ def test_a_film_leads_to_an_arm_by_the_commands_of_the_page(workplace, monkeypat
 def test_a_film_leads_to_an_arm_without_a_model_by_the_commands_of_the_page(workplace, monkeypatch):
     monkeypatch.chdir(workplace)
     shutil.copy("person.mp4", "my_placing.mp4")
-    assert say(VIDEO[4], ["iterations: 60", "starts: 1"]) == 0
+    assert say(VIDEO[4], ["starts: 1"]) == 0
     assert say(VIDEO[5], ["iterations: 3", "steps: 10"]) in (0, 1)  # three iterations are few
     assert Path("out/learn-video/plan.npz").exists()
 
