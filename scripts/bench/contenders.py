@@ -48,7 +48,8 @@ def find(name: str) -> Prepare | None:
 
 def ours(data: NetworkCase) -> Evaluation:
     """The public call, with its certificate and audited solution."""
-    method, psi = Unrolled(GradientDescent(data.steps, data.step_size)), data.psi.ravel()
+    method = Unrolled(GradientDescent(data.steps, data.step_size), policy="flag")  # ReLU has kinks
+    psi = data.psi.ravel()
 
     def evaluate() -> tuple[float, Array]:
         results = method.batch(data.problem, data.demonstrations, psi)
