@@ -149,7 +149,9 @@ def test_a_short_fuzz_finds_nothing():
     flags = ["-std=c99", "-O0", "-fsanitize=fuzzer,address,undefined", f"-I{out}"]
     sources = [str(out / "test/fuzz.c"), *map(str, out.glob("*.c"))]
     subprocess.run(["clang", *flags, *sources, "-o", str(program), "-lm"], check=True)
-    ran(program, "-runs=100", "-seed=1", "-max_len=512")
+    done = subprocess.run([program, "-runs=100", "-seed=1", "-max_len=512"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "Done 100 runs" in done.stderr
 
 
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")

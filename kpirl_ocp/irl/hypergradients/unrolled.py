@@ -179,10 +179,14 @@ def unrolled_gradients(
     losses, gradients, terms = (
         np.array(found) for found in zip(*((x.loss, x.gradient, x.terms) for x in sweeps), strict=True)
     )
-    smooth = last == solver.steps and _smooth(problem, loss)
-    kinks = np.zeros(len(sweeps)) if smooth else descents.kinks(losses, gradients, terms)
+    smooth = _smooth(problem, loss)
+    known = smooth and last == solver.steps
+    kinks = np.zeros(len(sweeps)) if known else descents.kinks(losses, gradients, terms)
     wrong = () if passes_agree(problem, len(inputs)) else (_WRONG_DERIVATIVES,)
-    return [sweep.result(problem, kink, wrong) for sweep, kink in zip(sweeps, kinks.tolist(), strict=True)]
+    return [
+        sweep.result(kink, (*wrong, *([] if smooth else sweep.kinks(problem))))
+        for sweep, kink in zip(sweeps, kinks.tolist(), strict=True)
+    ]
 
 
 @lru_cache(maxsize=64)
@@ -207,10 +211,14 @@ class _Sweep(NamedTuple):
             size = abs(self.at.value) + np.abs(self.at.slopes) @ np.abs(_plan(self.certificate.solution))
             return float(size * max(1.0, self.certificate.remainder))
 
-    def result(self, problem: OCP, kink: float, wrong: tuple[str, ...]) -> HypergradientResult:
-        """With what is wrong, and failures where the loss, a function of psi, or the steps are not smooth."""
+    def kinks(self, problem: OCP) -> list[str]:
+        """Sentences where the loss or a function of psi is not smooth at the plan."""
+        return self.at.kinks + parameter_kinks(problem, self.certificate.solution)
+
+    def result(self, kink: float, wrong: tuple[str, ...]) -> HypergradientResult:
+        """With what else is wrong, and a failure where the steps are not smooth."""
         found = self.certificate
-        failures = [*found.failures, *wrong, *self.at.kinks, *parameter_kinks(problem, found.solution)]
+        failures = [*found.failures, *wrong]
         if not failures and not kink <= KINK:
             failures.append(_STEPS_KINK)
         return HypergradientResult(self.loss, self.gradient, replace(found, kink=kink, failures=tuple(failures)))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kpirl_ocp.ocp.interior_point import library as c
+import kpirl_ocp.ocp.interior_point.library as c
 from kpirl_ocp.ocp.problem.layout import split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Given
