@@ -1,20 +1,23 @@
 """`kpirl learn-video --dynamics`: person and arm seen by one detector, and a network that says how keypoints move."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from problems import TABLE
 
 pytest.importorskip("av")
 pytest.importorskip("cv2")
 pytest.importorskip("pybullet")
 pytest.importorskip("torch")
 
+from kpirl_ocp import Riccati, Status
 from kpirl_ocp.assets import shipped_model
-from kpirl_ocp.cli.imitation.learned_dynamics import Plan, in_half_images
+from kpirl_ocp.cli.imitation.learned_dynamics import Plan, in_half_images, plans_from
 from kpirl_ocp.cli.main import run
 from kpirl_ocp.episodes import read_episode
-from kpirl_ocp.errors import FileError
+from kpirl_ocp.errors import FileError, SolveError
 from kpirl_ocp.irl.visual.learning import CONVERGED
 from kpirl_ocp.irl.visual.planning_costs import ArmLimits, PlanningCost, read_planning_cost, write_planning_cost
 from kpirl_ocp.ocp.models.dynamics_files import load_dynamics
@@ -42,6 +45,30 @@ def test_half_images_are_those_of_the_square_in_the_middle_and_displacements_are
     found = in_half_images(tracks, 2, 0.5)
     np.testing.assert_allclose(found.keypoints[:, 0], [[0, 0, 0.8], [1 / 6, -1 / 6, 0.8], [0.5, 0, 0.8]])
     np.testing.assert_allclose(found.times, [0, 0.5, 1])
+
+
+class Planner:
+    """Plans for a point that is pushed, of which those from far starts need a guess."""
+
+    def __init__(self):
+        self.case, self.guesses = TABLE["integrator"](), []
+
+    def plan(self, state, goal, guess=None):
+        self.guesses.append(guess)
+        solver = Riccati(max_iterations=1 if guess is None and state[0] > 0 else 100)
+        return solver.solve(self.case.problem, state, self.case.psi, goal, guess)
+
+
+def test_a_start_from_which_no_plan_is_found_begins_with_the_plan_of_the_first():
+    planner = Planner()
+    seen = planner.case.demonstration
+    near, far = (replace(seen, s0=np.array([x, 0.0])) for x in (-0.1, 0.1))
+    first, same, second = plans_from(planner, [near, near, far])
+    assert [found.status for found in (first, same, second)] == [Status.CONVERGED] * 3
+    assert planner.guesses == [None, None, None, first]  # the others are not warm starts
+    np.testing.assert_array_equal(second.states[0], far.s0)
+    with pytest.raises(SolveError, match="iteration limit"):
+        plans_from(planner, [far])
 
 
 def test_an_arm_repeats_a_film_with_dynamics_that_were_learned(placing, tmp_path, capsys):

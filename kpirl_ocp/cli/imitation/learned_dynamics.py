@@ -7,6 +7,7 @@ it is the iiwa of the scene, which also does it.
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -95,7 +96,7 @@ def imitate(args: Namespace, tracks: Tracks) -> int:
     demonstrations = [transferred_demonstration(dynamics, person, arm.keypoints, arm.joints) for arm in arms]
     cost, history = _cost(args, dynamics, demonstrations[0])
     controller = KeypointController.build(dynamics, cost)
-    plans = [controller.plan(demo.s0, demo.context).raise_if_failed() for demo in demonstrations]
+    plans = plans_from(controller, demonstrations)
     files = [_as_file(plan, dynamics) for plan in plans]
     paths = [plan.keypoints.reshape(len(plan.keypoints), -1) for plan in files]
     done = [] if args.recording else [_execute(detector, plan.joints, _rate(dynamics)) for plan in files]
@@ -108,6 +109,20 @@ def imitate(args: Namespace, tracks: Tracks) -> int:
         example = [(demonstrations[0].s0, demonstrations[0].context)]
         print(f"C:       {export_c(controller.problem, CONVERGED, args.out / 'c', psi=cost.psi, examples=example)}")
     return 0 if all(distance < 0.1 for distance in executed or planned) else 1
+
+
+def plans_from(controller: KeypointController, demonstrations: Sequence[Demonstration]) -> list[Solution]:
+    """A plan from the start of each; where none is found from no action, begin with the plan from the first start.
+
+    Raises SolveError if there is none from the first start, or none with that guess.
+    """
+    first = controller.plan(demonstrations[0].s0, demonstrations[0].context).raise_if_failed()
+    plans = [first]
+    for demo in demonstrations[1:]:
+        cold = controller.plan(demo.s0, demo.context)
+        near = cold if cold.status.ok else controller.plan(demo.s0, demo.context, guess=first)
+        plans.append(near.raise_if_failed())
+    return plans
 
 
 def _dynamics(args: Namespace) -> NetworkDynamics:
