@@ -23,9 +23,7 @@ from kpirl_ocp.types import Array
 BOTTLE_LENGTH = 0.25  # [m]
 _WORKSPACE = np.array([[0.46, 0.40], [0.78, 0.80]])  # of the bottle in front of the iiwa, x and z [m]
 _VIEW = np.array([0.0, -1.45, 0.08])  # from the bottle to the camera of another arm than the iiwa [m]
-_BEND = (
-    1.0  # of the joints of another arm [rad]: nearer to stretched, three joints hardly move the bottle along themselves
-)
+_BEND = 1.0  # of the joints of another arm [rad]: almost stretched, three joints hardly move the bottle lengthwise
 _MARGIN = 5.0  # keypoints stay this far inside the image [pixels]
 _AWAY = 0.08  # other starts from the first, and the first from joint limits, at most and at least [rad]
 _MOST = 0.3  # largest displacement of a joint in one step [rad]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import textwrap
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state
 from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Keypoint, Robot
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.statement.checks import horizon_of
+from kpirl_ocp.ocp.problem.statement.checks import horizon_of, shown
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 from kpirl_ocp.ocp.solvers.riccati import Riccati
@@ -161,9 +160,7 @@ def _numbers(values: Any) -> Array:
     """A list of finite numbers (n,)."""
     array = np.array(values, float)
     if array.ndim != 1 or not np.isfinite(array).all():
-        raise ValueError(
-            f"expected a list of finite numbers, got {textwrap.shorten(str(values), 60, placeholder=' ..')}"
-        )
+        raise ValueError(f"expected a list of finite numbers, got {shown(values)}")
     return array
 
 

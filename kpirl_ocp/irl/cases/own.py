@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import sys
-import textwrap
 import traceback
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ import numpy as np
 
 from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.spelling import suggestion
 from kpirl_ocp.types import Array
 
@@ -123,12 +123,8 @@ def _array(place: str, numbers: Mapping[str, Any], name: str, shape: tuple[int, 
     if value.shape != shape and value.size == np.prod(shape) and len(shape) == 1:
         value = value.reshape(shape)
     if value.shape != shape or not np.isfinite(value).all():
-        raise ProblemError(f"{place}: {name} must be finite and of shape {shape}, got {_brief(numbers[name])}.")
+        raise ProblemError(f"{place}: {name} must be finite and of shape {shape}, got {shown(numbers[name])}.")
     return value
-
-
-def _brief(value: object) -> str:
-    return textwrap.shorten(repr(value), 80, placeholder=" ..")
 
 
 def _step_size(place: str, numbers: Mapping[str, Any]) -> float | None:

@@ -127,6 +127,18 @@ def certified(solution: Solution, active: Mask, evidence: Mapping[str, float]) -
     )
 
 
+def judged(
+    policy: str, solution: Solution, active: Mask, evidence: Mapping[str, float] | None
+) -> SensitivityCertificate:
+    """The certificate of measurements, or of none where derivatives are not finite.
+
+    Raises CertificateError if it does not certify and the policy is not "flag".
+    """
+    found = undefined(solution, active) if evidence is None else certified(solution, active, evidence)
+    require(policy, found)
+    return found
+
+
 _NOT_ACCEPTABLE = (
     "The solver calls the solution acceptable, but it is {:.1e} from the point that was differentiated: pass another "
     "guess, or rescale the problem."

@@ -13,7 +13,7 @@ from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.sensitivity.certificate import Policy, certified, require, undefined
+from kpirl_ocp.ocp.sensitivity.certificate import Policy, judged
 from kpirl_ocp.ocp.sensitivity.evidence import fields_of
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance
@@ -70,11 +70,8 @@ class _Pull:
 
     def gradients(self, answer: Any, policy: Policy) -> Gradients:
         """With the evidence that was found. Raises CertificateError as `pull_each` does."""
-        active = self._active != 0
-        if not answer.finite:
-            certificate = undefined(self._solution, active)
-            require(policy, certificate)
+        evidence = fields_of(answer.evidence) if answer.finite else None
+        certificate = judged(policy, self._solution, self._active != 0, evidence)
+        if evidence is None:
             return Gradients.undefined(self._problem, certificate)
-        certificate = certified(self._solution, active, fields_of(answer.evidence))
-        require(policy, certificate)
         return Gradients.of_plan(self._problem, self._slope, self._found, certificate)

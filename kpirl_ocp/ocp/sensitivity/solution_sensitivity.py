@@ -25,10 +25,8 @@ from kpirl_ocp.ocp.problem.solver import StageDerivatives
 from kpirl_ocp.ocp.sensitivity.certificate import (
     Policy,
     SensitivityCertificate,
-    certified,
     check_policy,
-    require,
-    undefined,
+    judged,
 )
 from kpirl_ocp.ocp.sensitivity.evidence import measure
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
@@ -128,7 +126,7 @@ class Sensitivity:
         with borrow_core(self.problem) as core:
             at = self._linearised(core)
             if not (at.system.finite and np.isfinite(slope).all()):
-                return Gradients.undefined(self.problem, self._undefined(at))
+                return Gradients.undefined(self.problem, self._certificate(at, None))
             found, evidence = measure(core, at.system, at.nearby, slope)
             certificate = self._certificate(at, evidence)
         return Gradients.of_plan(self.problem, slope, found, certificate)
@@ -154,7 +152,7 @@ class Sensitivity:
             at = self._linearised(core)
             if not at.system.finite:
                 states, actions = (np.full_like(part, np.nan) for part in (self.solution.states, self.solution.actions))
-                return Tangent(states, actions, self._undefined(at))
+                return Tangent(states, actions, self._certificate(at, None))
             function = ImplicitFunction(at.system, Factorisation(at.system))
             change, residual = function.push(ByParameters(dpsi, ds0, dcontext))
             _, evidence = measure(core, at.system, at.nearby, change.x, change.x)
@@ -176,15 +174,8 @@ class Sensitivity:
             at.owner = weakref.ref(self)
         return at
 
-    def _undefined(self, at: Workspace) -> SensitivityCertificate:
-        certificate = undefined(self.solution, at.system.active)
-        require(self.policy, certificate)
-        return certificate
-
-    def _certificate(self, at: Workspace, evidence: Mapping[str, float]) -> SensitivityCertificate:
-        certificate = certified(self.solution, at.system.active, evidence)
-        require(self.policy, certificate)
-        return certificate
+    def _certificate(self, at: Workspace, evidence: Mapping[str, float] | None) -> SensitivityCertificate:
+        return judged(self.policy, self.solution, at.system.active, evidence)
 
 
 class Workspace:
