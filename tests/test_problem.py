@@ -66,6 +66,15 @@ def test_sizes_are_read_from_the_expressions(problem):
     assert (*sizes, problem.n_observations) == (N_S, N_U, N_PSI, N_C, N_H, 2)
 
 
+def test_a_problem_prints_its_sizes_and_no_arrays(problem):
+    assert repr(problem) == (
+        "<OCP of 4 steps: 3 states, 2 actions, 2 parameters, 1 context number, 2 schedule numbers, 2 bounded states, "
+        "2 bounded actions, 2 path constraints>"
+    )
+    s = ca.SX.sym("s")
+    assert repr(OCP.from_expressions(state=s, dynamics=s, horizon=2)) == "<OCP of 2 steps: 1 state>"
+
+
 def test_rollout_equals_a_loop_in_python_and_is_time_first_from_simulate(problem):
     expected = [S0]
     for u in ACTIONS:

@@ -37,12 +37,13 @@ from kpirl_ocp.ocp.problem.statement.checks import (
 from kpirl_ocp.ocp.problem.statement.complete import complete
 from kpirl_ocp.ocp.problem.statement.draft import Additions, Draft
 from kpirl_ocp.ocp.problem.statement.soft import Soft
+from kpirl_ocp.ocp.problem.statement.summary import summary
 from kpirl_ocp.ocp.problem.statement.switches import with_interior
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.types import Trajectory
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class OCP(Arrays):
     """An optimal-control problem in stage functions (`ca.Function`, SX or MX).
 
@@ -74,8 +75,8 @@ class OCP(Arrays):
     observation: ca.Function | None = None
     action_bounds: Bounds = UNBOUNDED
     state_bounds: Bounds = UNBOUNDED
-    schedule: ArrayLike | None = field(default=None, repr=False)
-    derivatives: DynamicsDerivatives | None = field(default=None, repr=False)
+    schedule: ArrayLike | None = None
+    derivatives: DynamicsDerivatives | None = None
     path_equality: ca.Function | None = field(default=None, kw_only=True)
     terminal_constraint: ca.Function | None = field(default=None, kw_only=True)
     terminal_equality: ca.Function | None = field(default=None, kw_only=True)
@@ -152,6 +153,9 @@ class OCP(Arrays):
             observation=observation,
         )
         return cls(**complete(draft, action_bounds, state_bounds, initial_bounds, static, static_bounds, soft))
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self.horizon} steps: {summary(self)}>"
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields, without what was derived from them."""
