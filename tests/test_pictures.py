@@ -14,7 +14,9 @@ import pytest
 from kpirl_ocp import LBFGS, OCP, Demonstration, Implicit, Riccati, learn
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.figures import colours, new_figure, panels_of_bands, wrapped_figure
+from kpirl_ocp.ocp.models import MLP, Robot
 from kpirl_ocp.perception.data.formats import Take
+from kpirl_ocp.perception.scene.frame import Frame
 from kpirl_ocp.pictures import COLOURS, GREY, PAGE, svg_file
 from kpirl_ocp.reporting import plus_minus, spread
 from kpirl_ocp.viewing.plots import plot
@@ -82,6 +84,14 @@ def test_a_record_of_arrays_prints_their_shapes_and_the_numbers_of_short_ones(re
         "videos={'camera': <array (12, 4, 4, 3)>}, task='wave')"
     )
     assert repr(solution.trajectory) == "Trajectory(states=<array (13, 2)>, actions=<array (12, 1)>)"
+
+
+def test_a_robot_a_network_and_a_frame_print_one_line():
+    assert repr(Robot.iiwa()) == "<Robot lbr_iiwa: 7 joints, 3 keypoints on lbr_iiwa_link_7>"
+    network = MLP.from_layers([np.ones((5, 3)), np.ones((2, 5))], [np.ones(5), np.ones(2)], "tanh")
+    assert repr(network) == "<MLP 3 -> 5 -> 2, tanh, identity>"
+    frame = Frame(np.zeros((4, 6, 3), np.uint8), np.zeros((4, 6), bool), np.array([1.0, 2.0]))
+    assert repr(frame) == "Frame(rgb=<array (4, 6, 3)>, bottle=<array (4, 6)>, place=[1.0, 2.0], parts=None)"
 
 
 def test_the_picture_of_a_certificate_says_what_was_measured(results):

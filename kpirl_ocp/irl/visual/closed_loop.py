@@ -23,6 +23,7 @@ from kpirl_ocp.irl.visual.demonstrations import positions
 from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Sight, Solution, Trajectory
 
 
@@ -38,8 +39,8 @@ class Plant(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Execution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Execution(Brief):
     """Record of a motion.
 
     keypoints: (T+1, K, 3) detected. joints: (T+1, n_joints) measured [rad]. actions: (T, n_joints) commanded [rad].

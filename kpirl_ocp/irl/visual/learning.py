@@ -28,6 +28,7 @@ from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration
 
 COSTS: Mapping[str, Basis] = {"Weighted": Weighted(), "TimeDep": TimeDependent(), "RBF": RBF()}
@@ -56,8 +57,8 @@ class InnerLoop:
         return 1 / (2 * self.steps * self.step_size)
 
 
-@dataclass(frozen=True, eq=False)
-class LearnedPlan:
+@dataclass(frozen=True, eq=False, repr=False)
+class LearnedPlan(Brief):
     """A learned cost and the history of learning.
 
     family, psi: the parameters (n_psi,) that were learned, and the costs that they choose from.

@@ -21,7 +21,7 @@ from kpirl_ocp.ocp.models.activations import ACTIVATIONS, Slopes
 from kpirl_ocp.types import Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MLP:
     """Weights and activations, as plain data.
 
@@ -43,6 +43,10 @@ class MLP:
             object.__setattr__(self, name, arrays)
         object.__setattr__(self, "activations", tuple(self.activations))
         self._check()
+
+    def __repr__(self) -> str:
+        widths = (self.n_in, *map(len, self.biases))
+        return f"<MLP {' -> '.join(map(str, widths))}, {', '.join(self.activations)}>"
 
     @classmethod
     def from_layers(

@@ -38,7 +38,7 @@ class Keypoint:
     position: tuple[float, float, float]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Robot:
     """An arm with keypoints on it: joint positions theta (n_joints,) [rad or m] to keypoints (n_keypoints, 3) [m].
 
@@ -48,6 +48,10 @@ class Robot:
 
     model: pin.Model
     keypoints: tuple[Keypoint, ...]
+
+    def __repr__(self) -> str:
+        links = ", ".join(dict.fromkeys(keypoint.link for keypoint in self.keypoints))
+        return f"<Robot {self.model.name}: {self.n_joints} joints, {self.n_keypoints} keypoints on {links}>"
 
     @classmethod
     def from_urdf(cls, path: str | Path, keypoints: Mapping[str, object] | tuple[Keypoint, ...] = ()) -> Robot:

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from kpirl_ocp.episodes import check_archive, read_episode, stored
 from kpirl_ocp.perception.data.video import read_demonstration, sample_indices
 from kpirl_ocp.perception.scene.frame import Frame
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class GroundTruth:
+@dataclass(frozen=True, eq=False, repr=False)
+class GroundTruth(Brief):
     """The bottle in a clip of T+1 frames, as the simulation knows it.
 
     bottle: (T+1, H, W) bool, the pixels that show it.
@@ -40,15 +41,15 @@ class GroundTruth:
         }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording(GroundTruth):
     """A clip with the truth about it; images: (T+1, H, W, 3) uint8 RGB."""
 
     images: NDArray[np.uint8] = stored("observation.images.camera", np.uint8, "T+1", "H", "W", 3)
 
 
-@dataclass(frozen=True, eq=False)
-class ArmFilm:
+@dataclass(frozen=True, eq=False, repr=False)
+class ArmFilm(Brief):
     """A recording of any robot, as its user has it: frames, joints and commands.
 
     images: (T+1, H, W, 3) uint8 RGB. joints: (T+1, n_joints) [rad]. actions: (T, n_joints) displacements [rad].
@@ -61,7 +62,7 @@ class ArmFilm:
     times: Array = stored("timestamp", np.float64, "T+1")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MeasuredArmFilm(ArmFilm):
     """The same with velocities (T+1, n_joints) [rad/s]."""
 
@@ -87,7 +88,7 @@ def read_arm_film(path: Path) -> MeasuredArmFilm:
     return MeasuredArmFilm(film.images, film.joints, film.actions, film.times, velocities)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ArmRecording(Recording):
     """A clip of the robot, with its measured joints and its commands.
 
