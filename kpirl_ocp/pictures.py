@@ -120,16 +120,18 @@ class Brief:
     """For dataclasses with `repr=False`: their text has the shapes of arrays, and the numbers of short ones."""
 
     def __repr__(self) -> str:
-        shown = [f"{field.name}={_brief(getattr(self, field.name))}" for field in fields(self) if field.repr]  # type: ignore[arg-type]
+        shown = [f"{field.name}={brief(getattr(self, field.name))}" for field in fields(self) if field.repr]  # type: ignore[arg-type]
         return f"{type(self).__name__}({', '.join(shown)})"
 
 
-def _brief(value: Any) -> str:
+def brief(value: Any) -> str:
+    """The text of a value: shapes of arrays, and the numbers of short ones."""
     if hasattr(value, "shape"):
         shape = tuple(value.shape)
-        return f"<array {shape}>" if math.prod(shape) > _FEW else str(value.tolist())
+        short = math.prod(shape) <= _FEW and 0 not in shape[:-1] + shape[1:]
+        return str(value.tolist()) if short else f"<array {shape}>"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{name!r}: {_brief(part)}" for name, part in value.items()) + "}"
+        return "{" + ", ".join(f"{name!r}: {brief(part)}" for name, part in value.items()) + "}"
     if isinstance(value, list | tuple) and len(value) > 1:
         return f"<{len(value)} {type(value[0]).__name__}>"
     return repr(value)

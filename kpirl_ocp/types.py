@@ -73,10 +73,7 @@ class Demonstration(Brief):
         for name in ("s0", "context", "observations", "actions"):
             if getattr(self, name) is None and name == "actions":
                 continue
-            try:
-                value = np.asarray(getattr(self, name), float)
-            except (TypeError, ValueError) as error:
-                raise ProblemError(f"the demonstration's {name} must be an array of numbers.") from error
+            value = floats(f"the demonstration's {name}", getattr(self, name))
             if not np.isfinite(value).all():
                 raise ProblemError(f"the demonstration's {name} must be finite; it holds NaN or infinity.")
             object.__setattr__(self, name, value)

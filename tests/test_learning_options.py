@@ -1,5 +1,6 @@
 """Learning: starts and warm starts, horizons, losses, scales, bounds, checkpoints, callbacks and interruption."""
 
+from dataclasses import replace
 from functools import lru_cache, partial
 
 import casadi as ca
@@ -245,6 +246,9 @@ def test_a_checkpoint_that_is_damaged_or_of_another_learning_is_refused_by_name(
     quiet(*arguments, steps=1, checkpoint=path)
     with pytest.raises(FileError, match=r"learning\.npz is the checkpoint of another learning"):
         quiet(*arguments[:-1], Adam(0.5), steps=1, checkpoint=path)
+    bounded = replace(arguments[0], action_bounds=(-0.5, 0.5))
+    with pytest.raises(FileError, match=r"learning\.npz is the checkpoint of another learning"):
+        quiet(bounded, *arguments[1:], steps=1, checkpoint=path)
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(FileError, match=r"learning\.npz cannot be read"):
         quiet(*arguments, steps=1, checkpoint=path)

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import LBFGS, OCP, Demonstration, Implicit, Riccati, learn
+from kpirl_ocp import LBFGS, OCP, Demonstration, Implicit, Riccati, learn, sensitivity
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.figures import colours, new_figure, panels_of_bands, wrapped_figure
 from kpirl_ocp.ocp.models import MLP, Robot
@@ -84,6 +85,20 @@ def test_a_record_of_arrays_prints_their_shapes_and_the_numbers_of_short_ones(re
         "videos={'camera': <array (12, 4, 4, 3)>}, task='wave')"
     )
     assert repr(solution.trajectory) == "Trajectory(states=<array (13, 2)>, actions=<array (12, 1)>)"
+    assert "path=<array (12, 0)>" in repr(solution.multipliers)
+
+
+def test_a_certificate_prints_its_verdict_before_its_numbers(problem, results):
+    certificate = results["certificate"]
+    assert repr(certificate).startswith("SensitivityCertificate(certified, kkt_residual=")
+    assert f"curvature={certificate.curvature:.2g}" in repr(certificate)
+    seen = Demonstration([0, 0], [], certificate.solution.states)
+    result = Implicit()(problem, seen, [1, 0.1])
+    assert repr(result) == f"HypergradientResult(loss=0, gradient={result.gradient.tolist()}, {result.certificate!r})"
+
+
+def test_the_sensitivity_of_a_plan_prints_the_plan(problem, solution):
+    assert repr(sensitivity(problem, solution)) == f"Sensitivity({solution!r}, policy='raise')"
 
 
 def test_a_robot_a_network_and_a_frame_print_one_line():
@@ -111,6 +126,14 @@ def test_a_plotted_solution_is_the_solution_with_its_bounds(problem, solution):
     np.testing.assert_array_equal(lower.values, np.full(12, -1.0))
     np.testing.assert_array_equal(upper.values, np.full(12, 2.0))
     assert len(plot(solution).axes[1].patches) == 1
+
+
+def test_bounds_far_away_do_not_flatten_what_is_plotted(problem, solution):
+    low, high = plot(solution).axes[0].get_ylim()
+    far = replace(problem, state_bounds=(-np.inf, [1e3, np.inf]))
+    assert plot(solution, far).axes[0].get_ylim() == (low, high)
+    near = replace(problem, state_bounds=(-np.inf, [high + 0.1, np.inf]))
+    assert plot(solution, near).axes[0].get_ylim()[1] > high + 0.1
 
 
 def test_a_notebook_shows_what_plot_returns(solution):

@@ -53,6 +53,10 @@ STATEMENTS = {
     "terminal equality as a row": ({"terminal_equality": S.T}, "terminal_equality must take column vectors"),
     "bounds of a step too many": ({"action_bounds": (-1, np.arange(13.0)[:, None])}, r"action_bounds must be \(lower"),
     "bounds of words": ({"action_bounds": ("low", 1)}, r"action_bounds must be \(lower, upper\)"),
+    "a pair of bounds for every entry": (
+        {"state_bounds": [(-1, 1), (-1, 1)]},
+        r"state_bounds must be \(lower, upper\), each \(2,\) or \(13, 2\), not a pair for every entry",
+    ),
     "one bound": ({"state_bounds": 1.0}, r"state_bounds must be \(lower, upper\)"),
     "ragged bounds": ({"state_bounds": ([[1], [1, 2]], 3)}, r"state_bounds must be \(lower, upper\)"),
     "bound of an unknown symbol": ({"action_bounds": (-1, X)}, "action_bounds depends on x: bounds may depend on"),

@@ -57,7 +57,13 @@ def _(result: Certificate, problem: OCP | None = None) -> Figure:
 
 
 def _draw_bounds(axes: Axes, bounds: Bounds, stairs: bool) -> None:
-    """The finite ones of bounds (n, k), dashed in the colours of what they bound."""
+    """The finite ones of bounds (n, k), dashed in the colours of what they bound.
+
+    Those further from the lines than the lines are high stay outside, so that they do not flatten the lines.
+    """
+    low, high = axes.get_ylim()
+    edges = np.array(bounds, float)
+    near = edges[np.abs(edges - (low + high) / 2) <= 1.5 * (high - low)]
     for bound in bounds:
         for index, column in enumerate(np.asarray(bound, float).T):
             style = {"color": COLOURS[index % len(COLOURS)], "linestyle": "--", "linewidth": 0.8, "zorder": 1}
@@ -67,3 +73,5 @@ def _draw_bounds(axes: Axes, bounds: Bounds, stairs: bool) -> None:
                 axes.stairs(column, baseline=None, **style)
             else:
                 axes.plot(column, **style)
+    margin = 0.05 * (high - low)
+    axes.set_ylim(min([low, *(near - margin)]), max([high, *(near + margin)]))

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, require
+from kpirl_ocp.pictures import brief
 from kpirl_ocp.types import Array, Demonstration
 
 
@@ -23,6 +24,9 @@ class HypergradientResult(NamedTuple):
     loss: float
     gradient: Array
     certificate: Certificate
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(loss={self.loss:.6g}, gradient={brief(self.gradient)}, {self.certificate!r})"
 
 
 class Hypergradient(Protocol):

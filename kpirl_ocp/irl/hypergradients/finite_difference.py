@@ -43,7 +43,7 @@ GAP = 1e-3
 NOISE = 1e-9
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class FiniteDifferenceCertificate(Certificate):
     """Evidence for a finite-difference gradient.
 

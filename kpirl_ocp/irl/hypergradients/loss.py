@@ -36,10 +36,11 @@ def demonstrated_observations(problem: OCP, demonstration: Demonstration) -> Arr
     expected = (problem.horizon + 1, problem.n_observations)
     if demonstration.frames is not None:
         raise ProblemError("the demonstration was observed at some frames only: use loss=KeyFrames().")
-    if demonstration.observations.shape != expected:
-        raise ProblemError(
-            f"the demonstration's observations must be (T+1, n_z) = {expected}, got {demonstration.observations.shape}."
-        )
+    found = demonstration.observations.shape
+    if found != expected:
+        states = found == (problem.horizon + 1, problem.n_states)
+        hint = ": these may be states, whose observations are problem.observe(states.T).full().T" if states else ""
+        raise ProblemError(f"the demonstration's observations must be (T+1, n_z) = {expected}, got {found}{hint}.")
     return demonstration.observations.T
 
 

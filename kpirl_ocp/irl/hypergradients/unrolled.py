@@ -53,7 +53,7 @@ _STEPS_KINK = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class UnrolledCertificate(Certificate):
     """Evidence for a gradient through gradient steps.
 

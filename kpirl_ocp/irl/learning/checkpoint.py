@@ -16,6 +16,8 @@ import numpy as np
 from kpirl_ocp.episodes import atomic_write, check_archive
 from kpirl_ocp.errors import FileError
 from kpirl_ocp.irl.learning.optimisers import Point
+from kpirl_ocp.ocp.export.manifest import functions_of
+from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 _FORMAT = 1
@@ -91,6 +93,14 @@ class Checkpoint:
             raise
         except _DAMAGED as error:
             raise FileError(f"{self.path} cannot be read as a checkpoint of learning: {error}") from error
+
+
+def statement_of(problem: OCP) -> list[Any]:
+    """Everything that the plans of a problem depend on: serialised functions, bounds, schedule."""
+    functions = [*functions_of(problem), problem.observation]
+    bounds = [problem.action_bounds, problem.state_bounds, problem.initial_bounds or ()]
+    serialised = [None if function is None else function.serialize() for function in functions]
+    return [*serialised, *(np.array(bound) for bound in bounds), np.asarray(problem.schedule), problem.horizon]
 
 
 def fingerprint(*parts: Any) -> str:

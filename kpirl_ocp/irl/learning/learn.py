@@ -31,7 +31,7 @@ from kpirl_ocp.irl.learning.arguments import (
     psi_of,
     scale_of,
 )
-from kpirl_ocp.irl.learning.checkpoint import Checkpoint, Saved, fingerprint
+from kpirl_ocp.irl.learning.checkpoint import Checkpoint, Saved, fingerprint, statement_of
 from kpirl_ocp.irl.learning.horizons import Problems, problems_of
 from kpirl_ocp.irl.learning.optimisers import Adam, Box, Optimiser, Point
 from kpirl_ocp.irl.learning.result import LearningResult
@@ -105,11 +105,12 @@ class Learner:
         return LearningState(point, memory, min(state.best, point, key=lambda p: p.loss))
 
     def fingerprint(self, psi0: ArrayLike) -> str:
-        """A hash of the demonstrations and settings, by which a checkpoint of the same learning is known."""
+        """A hash of problems, demonstrations and settings, by which a checkpoint of the same learning is known."""
+        stated = [part for problem in dict.fromkeys(self.problems) for part in statement_of(problem)]
         seen = [vars(demonstration) for demonstration in self.demonstrations]
         parts = [part for values in seen for part in values.values()] + [psi0, self.scale, *self.bounds]
         arrays = [np.asarray(part) for part in parts if part is not None]
-        return fingerprint(*arrays, self.hypergradient, self.optimiser, self.warm_start)
+        return fingerprint(*stated, *arrays, self.hypergradient, self.optimiser, self.warm_start)
 
     @cached_property
     def problems(self) -> tuple[OCP, ...]:
@@ -189,7 +190,7 @@ def learn(
     seen = tuple(demonstrations) if isinstance(demonstrations, Iterable) else demonstrations
     optimiser = Adam() if optimiser is None else optimiser
     learner = Learner(problem, seen, hypergradient, optimiser, guesses, warm_start, scale, bounds)
-    file = Checkpoint(checkpoint, learner.fingerprint(psi0))
+    file = Checkpoint(checkpoint, "" if checkpoint is None else learner.fingerprint(psi0))
     saved = file.load()
     state, history = (LearningState(*saved[:3]), saved.history) if saved else (None, [])
     begun = time.perf_counter() - (history[-1][1] if history else 0.0)

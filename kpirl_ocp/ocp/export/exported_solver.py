@@ -69,6 +69,9 @@ class ExportedSolver:
         self._call("init", ctypes.byref(self._controller), self._memory, ctypes.c_size_t(ctypes.sizeof(self._memory)))
         self._known: dict[OCP, bool] = {}
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self.folder)!r})"
+
     def solve(
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:

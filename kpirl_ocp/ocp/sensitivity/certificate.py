@@ -7,7 +7,7 @@ constraints (LICQ), strict complementarity and a positive reduced Hessian. All o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -32,7 +32,7 @@ DISTANCE = 1e-4  # of what a solver calls as exact as rounding lets it be
 _SOLVED = (Status.CONVERGED, Status.ACCEPTABLE)  # the KKT residual has a bound of its own
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Certificate:
     """Evidence for one gradient.
 
@@ -40,7 +40,7 @@ class Certificate:
     failures: one sentence for every condition that does not hold; empty when the gradient is certified.
     """
 
-    solution: Solution = field(repr=False)
+    solution: Solution
     failures: tuple[str, ...]
 
     @property
@@ -57,11 +57,15 @@ class Certificate:
         facts = {name.replace("_", " "): f"{value:.2g}" for name, value in self.evidence().items()}
         return card(str(self), facts, svg(draw(self.solution.panels())))
 
+    def __repr__(self) -> str:
+        numbers = [f"{name}={value:.2g}" for name, value in self.evidence().items()]
+        return f"{type(self).__name__}({', '.join([str(self), *numbers])})"
+
     def __str__(self) -> str:
         return "certified" if self.certified else "NOT certified: " + " ".join(self.failures)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SensitivityCertificate(Certificate):
     """Evidence for a derivative of the solution by the implicit function theorem.
 
@@ -94,7 +98,7 @@ class SensitivityCertificate(Certificate):
     change: float
     kink: float
     linear_residual: float
-    active: Mask = field(repr=False)
+    active: Mask
     barrier: float
 
 

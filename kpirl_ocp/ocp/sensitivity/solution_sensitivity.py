@@ -101,6 +101,9 @@ class Sensitivity:
         check_solution(problem, solution)
         self._instance, self._derivatives = Instance.of(problem, solution), derivatives
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.solution!r}, policy={self.policy!r})"
+
     def pull(self, by_states: ArrayLike, by_actions: ArrayLike) -> Gradients:
         """Gradients of a function L of the trajectory.
 

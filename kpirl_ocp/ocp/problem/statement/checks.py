@@ -88,6 +88,8 @@ def bounds_of(name: str, bounds: Bounds, shape: tuple[int, ...]) -> tuple[Array,
         raise ProblemError(f"{name} must be (lower, upper), each a number or {expected}.") from error
     if not lower.size and any(np.isfinite(bound).any() for bound in given):
         raise ProblemError(f"{name} must be left out: there is nothing to bound, the shape is {shape}.")
+    if len(shape) == 2 and _is_pairs(*given):
+        raise ProblemError(f"{name} must be (lower, upper), each {expected}, not a pair for every entry, got {bounds}.")
     if not ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all():
         raise ProblemError(
             f"{name} must be numbers: no lower bound above its upper bound or at inf, no upper bound at -inf."
@@ -107,6 +109,11 @@ def check_function(name: str, function: object, sizes: tuple[int, ...], length: 
             f"{name} must take column vectors of lengths {sizes} and return one column"
             f"{'' if length is None else f' of length {length}'}; it is {function}."
         )
+
+
+def _is_pairs(first: Array, second: Array) -> bool:
+    """True for [(a, b), (a, b)] with a < b, which would hold both entries fast throughout."""
+    return first.shape == second.shape == (2,) and bool((first == second).all() and first[0] < first[1])
 
 
 def _one_row(bound: Array, shape: tuple[int, ...]) -> Array:
