@@ -26,7 +26,7 @@ from numpy.typing import DTypeLike
 
 from kpirl_ocp.errors import EpisodeError
 from kpirl_ocp.pictures import Brief
-from kpirl_ocp.sizes import check_bytes, read_json
+from kpirl_ocp.sizes import check_bytes, check_file, read_json
 from kpirl_ocp.types import Array
 
 _VERSION = 1
@@ -202,11 +202,13 @@ def _arrays(episode: Any) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def check_archive(path: Path) -> None:
-    """Look at the sizes that an archive of arrays (.npz) and the headers in it announce.
+    """Look at a file, and at the sizes that an archive of arrays (.npz) and the headers in it announce.
 
     Raises:
-        ValueError: more than 2 GiB in all, or a header that announces more than is there.
+        OSError: there is no file.
+        ValueError: no regular file, more than 2 GiB in all, or a header that announces more than is there.
     """
+    check_file(path)
     if not is_zipfile(path):
         return
     with ZipFile(path) as archive:

@@ -21,7 +21,7 @@ from safetensors.numpy import load, save
 
 from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import ModelError
-from kpirl_ocp.sizes import read_json
+from kpirl_ocp.sizes import check_file, read_json
 from kpirl_ocp.types import Array
 
 DETECTOR, DYNAMICS = "kpirl_ocp.detector", "kpirl_ocp.dynamics"
@@ -111,6 +111,7 @@ def _entries(path: Path) -> dict[str, Any]:
 
 def _tensors(path: Path) -> dict[str, Floats]:
     try:
+        check_file(path)
         tensors = load(path.read_bytes())
     except FileNotFoundError:
         raise ModelError(f"there is no weight file {path}; it belongs beside the card.") from None

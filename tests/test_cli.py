@@ -24,6 +24,7 @@ from kpirl_ocp.cli.commands.learn import OPTIMISERS
 from kpirl_ocp.cli.directory import results_in
 from kpirl_ocp.cli.main import COMMANDS, options_of, run
 from kpirl_ocp.cli.parser import build_parser
+from kpirl_ocp.cli.values import real, whole
 from kpirl_ocp.irl.cases.cost_files import BASES
 from kpirl_ocp.irl.cases.examples import CASES
 from kpirl_ocp.irl.cases.tasks import TASKS
@@ -78,6 +79,12 @@ def says_much():
 
 def true_step():
     return pendulum()[0], {"s0": [0, 0], "psi": [0.8, 0.02], "step_size": True}
+
+def undefined():
+    s, u = ca.SX.sym("s"), ca.SX.sym("u")
+    problem = OCP.from_expressions(
+        state=s, action=u, dynamics=ca.log(s - 1) + u, stage_cost=u**2, terminal_cost=s**2, horizon=3)
+    return problem, {"s0": 0}
 
 def no_horizon():
     return OCP.from_expressions(state=ca.SX.sym("s"), action=ca.SX.sym("u"), dynamics=0, stage_cost=0, horizon=0)
@@ -175,6 +182,8 @@ WRONG = {  # words, beginning of the sentence
     "solve --steps 1e30": f"--steps: {WHOLE} 1, got '1e30'.",
     "solve --steps 1000001": f"--steps: {MOST} 1000000, got '1000001'.",
     "solve --move 1e400 0 0": f"--move: {METRES}, got '1e400'.",
+    "solve --horizon 1_0": f"--horizon: {WHOLE} 1, got '1_0'.",
+    "solve --effort 0_1": "--effort: expected a finite number of at least 0, got '0_1'.",
     "solve --hrizon 3": "there is no option --hrizon: did you mean '--horizon'?",
     "solve --hor 3": "there is no option --hor",
     "solve --solver ricati": "--solver: expected one of riccati, ipopt, fatrop, sqp, gradient, got 'ricati': "
@@ -190,7 +199,7 @@ WRONG = {  # words, beginning of the sentence
     "solve own.py:broken": "own.py:broken raised ZeroDivisionError: division by zero (line 40 of own.py)",
     "solve own.py:exits": "own.py:exits raised SystemExit (line 43 of own.py)",
     "solve own.py:no_horizon": "own.py:no_horizon raised ProblemError: horizon must be a whole number of at least 1 "
-    "step and at most 1000000, got 0. (line 52 of own.py)",
+    "step and at most 1000000, got 0. (line 58 of own.py)",
     "solve own.py:says_much": "own.py:says_much raised ValueError: one two (line 46 of own.py)",
     "solve own.py:true_step": "own.py:true_step: step_size must be a positive number, got True.",
     "solve unfinished.py:f": "unfinished.py raised SyntaxError: '(' was never closed (unfinished.py, line 1).",
@@ -223,7 +232,7 @@ WRONG = {  # words, beginning of the sentence
     "evaluate --demonstrations . --cost nowhere": "--cost: there is no file 'nowhere'.",
     "evaluate --demonstrations . --cost empty.json": "--cost: empty.json is not a learned cost: it has no 'effort'.",
     "evaluate --demonstrations . --cost bytes": "--cost: bytes is not a learned cost: "
-    "ValueError('it is not text in UTF-8: invalid start byte at byte 2.').",
+    "it is not text in UTF-8: invalid start byte at byte 2.",
     "solve --config bytes": "--config: bytes is not a YAML file: it is not text in UTF-8: invalid",
     "evaluate --demonstrations . --cost own.py": "--cost: own.py is not a learned cost",
     "compare --problem lrq": "--problem: expected one of iiwa, integrator, lqr, pendulum, got 'lrq': "
@@ -235,6 +244,7 @@ WRONG = {  # words, beginning of the sentence
     "compare own.py:unseen": "own.py:unseen: observations must be finite and of shape (26, 2), got array([[nan,",
     "compare own.py:explained": "the gradient is zero, as psi explains the observations: give another psi, or others.",
     "compare own.py:f": "own.py has no function 'f'.",
+    "export own.py:undefined": "the example with s0 = [0.0] meets NaN or infinity: check dynamics, costs, constraints",
     "export --horizon 0": f"--horizon: {WHOLE} 1, got '0'.",
     "export --cost nowhere": "--cost: there is no file 'nowhere'.",
     "export --prefix Arm": "--prefix: expected a prefix of small letters, digits and underscores, got 'Arm'.",
@@ -281,6 +291,21 @@ def test_no_option_takes_a_number_that_c_or_memory_has_no_room_for(command):
     for kind in {option.type for option in options if option.type}:
         assert not any(isinstance(taken(kind, word), int) for word in ("99999999999999999999", NINES)), kind
         assert not isinstance(taken(kind, "1e400"), float), kind
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("word", ["1_0", " 5", "5 ", "5\n", "\u0665", "\uff15", "0x5", "1e1_0", "5.\u0665", "1 .", ""])
+def test_no_option_takes_a_number_that_only_python_would_read(command, word):
+    options = build_parser(command, "", options_of(command).add_options).options().values()
+    for kind in {option.type for option in options if option.type}:
+        assert not isinstance(taken(kind, word), int | float), kind
+
+
+@pytest.mark.parametrize(("word", "value"), [("5", 5), ("+5", 5), ("-.5e1", -5), ("5.", 5), ("05", 5), ("5E+0", 5)])
+def test_usual_spellings_of_a_number_are_taken(word, value):
+    assert real()(word) == value
+    if set(word) <= set("+05"):
+        assert whole(0)(word) == value
 
 
 def taken(kind, word):

@@ -144,6 +144,25 @@ def test_numbers_that_c_cannot_start_from_are_refused(wrong, tmp_path):
         export_c(TABLE["integrator"]().problem, Riccati(), tmp_path, **wrong)
 
 
+NOT_FINITE = {
+    "dynamics": {"dynamics": ca.vertcat(S[0], np.nan * S[1] + U)},
+    "dynamics outside their domain": {"dynamics": ca.vertcat(S[0], ca.log(S[1] - 1) + U)},
+    "cost": {"stage_cost": ca.sumsqr(S) / 0.0 + U**2},
+    "terminal cost": {"terminal_cost": np.nan * S[0]},
+    "derivative": {"stage_cost": ca.norm_2(S) + U**2},
+}
+
+
+@pytest.mark.parametrize("part", NOT_FINITE)
+@pytest.mark.parametrize("solver", [Riccati(), GradientDescent(20, 1e-2, project=True), SQP()], ids=str)
+def test_a_problem_that_is_not_finite_at_its_example_is_refused_before_anything_is_written(part, solver, tmp_path):
+    finite = {"dynamics": S + 0.1 * ca.vertcat(S[1], U), "stage_cost": ca.sumsqr(S) + U**2, "terminal_cost": S[0] ** 2}
+    problem = OCP.from_expressions(state=S, action=U, horizon=6, action_bounds=(-1, 1), **finite | NOT_FINITE[part])
+    with pytest.raises(ProblemError, match=r"the example with s0 = \[0\.0, 0\.0\] meets NaN or infinity"):
+        export_c(problem, solver, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 # ---- what a solver is called with ------------------------------------------------------------------------------------
 
 

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from kpirl_ocp.sizes import check_file
 from kpirl_ocp.spelling import suggestion
 
 MOST_PROCESSES = 1024  # or threads
+# Without underscores, spaces and digits of other scripts, all of which Python takes.
+_WHOLE = re.compile(r"[+-]?[0-9]+")
+_REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 def whole(least: int, most: int = 2**31 - 1) -> Callable[[str], int]:
@@ -18,9 +23,9 @@ def whole(least: int, most: int = 2**31 - 1) -> Callable[[str], int]:
 
     def parse(word: str) -> int:
         try:
-            value = int(word)
-        except ValueError:
-            value = most + 1 if word.isdecimal() else least - 1  # Python reads 4300 digits
+            value = int(word) if _WHOLE.fullmatch(word) else least - 1
+        except ValueError:  # Python reads 4300 digits
+            value = least - 1 if word.startswith("-") else most + 1
         if value < least:
             raise ArgumentTypeError(f"expected a whole number of at least {least}, got {word!r}")
         if value > most:
@@ -37,10 +42,7 @@ def real(*, least: float = -math.inf, above: float = -math.inf, most: float = ma
     expected = " ".join(["a finite number", *bounds])
 
     def parse(word: str) -> float:
-        try:
-            value = float(word)
-        except ValueError:
-            value = math.nan
+        value = float(word) if _REAL.fullmatch(word) else math.nan
         if not (math.isfinite(value) and most >= value >= least and value > above):
             raise ArgumentTypeError(f"expected {expected}, got {word!r}")
         return value
@@ -76,8 +78,12 @@ def existing_directory(word: str) -> Path:
 
 def existing_file(word: str) -> Path:
     """A file to read."""
-    if not os.path.isfile(word):
-        raise ArgumentTypeError(f"there is no file {word!r}")
+    try:
+        check_file(Path(word))
+    except ValueError as error:
+        raise ArgumentTypeError(f"{word!r} cannot be read: {error}") from None
+    except OSError:
+        raise ArgumentTypeError(f"there is no file {word!r}") from None
     return Path(word)
 
 

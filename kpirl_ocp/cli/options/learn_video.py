@@ -56,6 +56,6 @@ def pixels(count: int) -> Callable[[str], list[float]]:
         number, parts = real(), word.split(",")
         if len(parts) != count:
             raise ArgumentTypeError(f"expected {count} numbers between commas, got {word!r}")
-        return [number(part) for part in parts]
+        return [number(part.strip()) for part in parts]
 
     return parse

@@ -152,7 +152,9 @@ class LearnedCost:
             raise FileError(f"{path} does not exist: learn a cost with `kpirl learn`.") from None
         except KeyError as error:
             raise FileError(f"{path} is not a learned cost: it has no {error}.") from error
-        except (AttributeError, TypeError, ValueError) as error:
+        except ValueError as error:
+            raise FileError(f"{path} is not a learned cost: {str(error).rstrip('.')}.") from error
+        except (AttributeError, TypeError) as error:
             raise FileError(f"{path} is not a learned cost: {error!r}.") from error
 
 

@@ -121,7 +121,11 @@ def read_planning_cost(path: Path, dynamics: NetworkDynamics) -> PlanningCost:
             _limits_of_json(content.get("robot"), content.get("limits")),
         )
         sizes = content["keypoints"], content["joints"]
-    except (KeyError, TypeError, ValueError) as error:
+    except KeyError as error:
+        raise FileError(f"{path} is not a cost over detected keypoints: it has no {error}.") from error
+    except ValueError as error:
+        raise FileError(f"{path} is not a cost over detected keypoints: {str(error).rstrip('.')}.") from error
+    except TypeError as error:
         raise FileError(f"{path} is not a cost over detected keypoints: {error!r}.") from error
     if kind != VISUAL or cost.weights.shape != (len(cost.efforts), 2 * sizes[0]):
         raise FileError(f"{path} is not a cost over detected keypoints.")

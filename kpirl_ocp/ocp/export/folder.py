@@ -15,11 +15,11 @@ from kpirl_ocp.ocp.codegen import portable_c, templates
 from kpirl_ocp.ocp.codegen.target import Target
 from kpirl_ocp.ocp.codegen.templates import PREFIX
 from kpirl_ocp.ocp.export.constants import configuration, data, dimensions
-from kpirl_ocp.ocp.export.records import header, record
+from kpirl_ocp.ocp.export.records import Record, header, record
 from kpirl_ocp.ocp.export.targets import target_of
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
-from kpirl_ocp.types import Array
+from kpirl_ocp.types import Array, Status
 
 _FACE = (".h", ".hpp", "_setup.c", "_solve.c", "_controller.h", "_controller.c", "_memory.h", "_dimensions.h")
 # What every solver takes from the core.
@@ -50,7 +50,7 @@ def export_c(
 
     Raises:
         ProblemError: a solver that cannot be exported, with those that can; a problem that it does not handle, or of
-            which CasADi generates no C; a wrong psi, example or prefix.
+            which CasADi generates no C; a wrong psi, example or prefix; an example at which it is not finite.
         FileError: the directory holds files of an earlier export that were changed since.
     """
     templates.check_prefix(prefix)
@@ -67,7 +67,10 @@ def export_c(
     core = templates.core_files()  # which does not see the type of that name
     code = [text for name, text in files.items() if name.endswith((".c", ".h")) and name not in core]
     templates.check_names(prefix, code)
-    files["test/records.h"] = header([record(problem, solver, parameters, *pair) for pair in pairs], target.counts)
+    records = [record(problem, solver, parameters, *pair) for pair in pairs]
+    for each in records:
+        _check_solved(each)
+    files["test/records.h"] = header(records, target.counts)
 
     files = {templates.renamed(name, prefix): templates.renamed(text, prefix) for name, text in files.items()}
     out = Path(directory)
@@ -80,6 +83,15 @@ def export_c(
 def _check_finite(what: str, *arrays: Array) -> None:
     if not all(np.isfinite(np.asarray(array, float)).all() for array in arrays):
         raise ProblemError(f"{what} must be finite; it holds NaN or infinity.")
+
+
+def _check_solved(example: Record) -> None:
+    solved = (example.cold, example.warm)
+    if any(s.status is Status.NOT_FINITE or np.isnan(s.actions).any() or not np.isfinite(s.objective) for s in solved):
+        raise ProblemError(
+            f"the example with s0 = {example.s0.tolist()} meets NaN or infinity: check dynamics, costs, constraints "
+            "and their derivatives there, or give another example."
+        )
 
 
 def _sources(problem: OCP, solver: Solver, target: Target, psi: Array) -> dict[str, str]:

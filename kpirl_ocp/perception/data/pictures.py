@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from kpirl_ocp.errors import FileError
+from kpirl_ocp.sizes import check_file
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
@@ -34,11 +35,19 @@ def iterate_pictures(folder: Path) -> Iterator[NDArray[np.uint8]]:
         raise FileError(f"the folder {folder} holds no PNG or JPEG pictures.")
     shape = None
     for path in paths:
-        image = decode_picture(path.read_bytes(), str(path))
+        image = decode_picture(_content(path), str(path))
         shape = shape or image.shape
         if image.shape != shape:
             raise FileError(f"the images in {folder} differ in size: {path.name} is {image.shape[1::-1]} pixels.")
         yield image
+
+
+def _content(path: Path) -> bytes:
+    try:
+        check_file(path)
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise FileError(f"{path} cannot be read as an image: {error}") from error
 
 
 def decode_picture(content: bytes, place: str) -> NDArray[np.uint8]:

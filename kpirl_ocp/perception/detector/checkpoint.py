@@ -17,6 +17,7 @@ from torch import nn
 
 from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import FileError
+from kpirl_ocp.sizes import check_file
 
 Curves = dict[str, list[float]]
 _CONTENT = "training"  # one key of metadata: the format keeps no order of several, and the same state the same bytes
@@ -49,10 +50,11 @@ class Checkpoint:
         if self.path is None or not self.path.exists():
             return {term: [] for term in terms}
         try:
+            check_file(self.path)
             with safe_open(self.path, "pt") as file:
                 metadata = file.metadata()
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no iterator)
-        except SafetensorError as error:
+        except (OSError, ValueError, SafetensorError) as error:
             raise FileError(f"{self.path} is no checkpoint: {error}. Delete it to start anew.") from error
         content = json.loads((metadata or {}).get(_CONTENT, "{}"))
         if content.get("configuration") != self.configuration:

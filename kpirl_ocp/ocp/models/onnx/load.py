@@ -15,6 +15,7 @@ from kpirl_ocp.ocp.models.mlp import MLP
 from kpirl_ocp.ocp.models.onnx.casadi_reader import graph_network
 from kpirl_ocp.ocp.models.onnx.chain import chain
 from kpirl_ocp.ocp.models.onnx.graph import Graph
+from kpirl_ocp.sizes import check_file
 
 
 def load_onnx(path: str | Path) -> MLP | GraphNetwork:
@@ -32,6 +33,7 @@ def load_onnx(path: str | Path) -> MLP | GraphNetwork:
     except ImportError as error:
         raise DependencyError("reading ONNX files needs the package onnx: pip install onnx.") from error
     try:
+        check_file(Path(path))
         model = onnx.load(str(path))
     except Exception as error:  # of onnx, protobuf or the file system
         raise ModelError(f"{path} cannot be read as ONNX: {error}") from error

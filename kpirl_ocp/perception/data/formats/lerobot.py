@@ -23,7 +23,7 @@ from kpirl_ocp.errors import DependencyError, EpisodeError, FileError
 from kpirl_ocp.perception.data.formats.take import Take, VideoPart, checked_rate, one_line, read_as
 from kpirl_ocp.perception.data.pictures import decode_picture
 from kpirl_ocp.perception.data.video import Frames
-from kpirl_ocp.sizes import check_bytes, read_json, read_text
+from kpirl_ocp.sizes import check_bytes, check_file, read_json, read_text
 
 _ROWS = 64  # of a table that are read at once
 BOOKKEEPING = ("timestamp", "frame_index", "episode_index", "index", "task_index")
@@ -156,6 +156,7 @@ class _DataSet:
     def _table(self, path: Path) -> Any:
         arrow = parquet()
         try:
+            check_file(path)
             with arrow.ParquetFile(path) as file:
                 return _whole(file)
         except (OSError, ValueError, NotImplementedError, KeyError, TypeError) as error:  # pyarrow's own are of these

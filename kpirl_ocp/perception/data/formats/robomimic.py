@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from kpirl_ocp.errors import DependencyError, EpisodeError
 from kpirl_ocp.perception.data.formats.take import Take, checked_rate, one_line, read_as
 from kpirl_ocp.perception.data.video import Frames
-from kpirl_ocp.sizes import check_bytes
+from kpirl_ocp.sizes import check_bytes, check_file
 
 
 def read_robomimic(path: str | Path, split: str | None = None, rate: float | None = None) -> list[Take]:
@@ -39,8 +39,9 @@ def read_robomimic(path: str | Path, split: str | None = None, rate: float | Non
     except ImportError as error:
         raise DependencyError('robomimic data sets need the package h5py: pip install "kpirl-ocp[data]".') from error
     try:
+        check_file(Path(path))
         file = h5py.File(path, "r")
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise EpisodeError(f"{path} cannot be read as HDF5: {one_line(error)}") from error
     with file, read_as("robomimic data set", path):
         if "data" not in file:
