@@ -200,6 +200,31 @@ def test_a_malformed_file_is_an_error_that_names_it(urdf, text):
         Robot.from_urdf(urdf(text))
 
 
+COMPLAINTS = {  # text of the file: what the parser of URDF says of it
+    "<sdf/>": "Could not find the 'robot' element in the xml file",
+    TREE.replace(LIMIT.format(-2, 1), ""): "Joint [skew_joint] is of type REVOLUTE but it does not specify limits",
+    TREE.replace('"prismatic"', '"sliding"'): "Joint [slide_joint] has no known type [sliding]",
+    TREE.replace('lower="-2"', 'lower="a"'): "joint [skew_joint]: lower value (a) is not a valid float",
+    TREE.replace(LINKS, LINKS + '<link name="b"/>'): "Failed to find root link: Two root links found: [b] and [base]",
+}
+
+
+@pytest.mark.parametrize("text", COMPLAINTS, ids=COMPLAINTS.values())
+def test_the_sentence_about_a_malformed_file_holds_the_reason_and_nothing_else_is_printed(text, urdf, capfd):
+    with pytest.raises(RobotError) as caught:
+        Robot.from_urdf(urdf(text))
+    assert str(caught.value).endswith(f"robot.urdf cannot be read as a URDF: {COMPLAINTS[text]}.")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_complaints_about_a_file_that_is_read_all_the_same_are_passed_on(urdf, capfd):
+    picture = '<link name="base"><visual><geometry><cube/></geometry></visual></link>'
+    text = MIMICS.replace('<link name="base"/>', picture)
+    assert text != MIMICS
+    Robot.from_urdf(urdf(text), {"tip": [(0, 0, 0)]})
+    assert "Unknown geometry type 'cube'" in capfd.readouterr().err
+
+
 @pytest.mark.parametrize("kind", ["floating", "planar"])
 def test_an_unsupported_joint_type_is_an_error_that_names_the_joint(urdf, kind):
     text = BENT.format(joint("slide", kind, "base", "1 0 0", ""), joint("turn", "continuous", "slide", "1 0 0", ""))

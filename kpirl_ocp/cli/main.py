@@ -18,8 +18,7 @@ from kpirl_ocp.cli.directory import results_in
 from kpirl_ocp.cli.memory import within_memory
 from kpirl_ocp.cli.parser import Parser, build_parser, write_config
 from kpirl_ocp.cli.signals import stoppable
-from kpirl_ocp.errors import DependencyError, KpirlError, OptionError
-from kpirl_ocp.spelling import suggestion
+from kpirl_ocp.errors import DependencyError, KpirlError, OptionError, suggestion
 from kpirl_ocp.version import __version__
 
 COMMANDS = (

@@ -12,9 +12,8 @@ import yaml
 
 from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.cli.values import directory, existing_file
-from kpirl_ocp.errors import OptionError
+from kpirl_ocp.errors import OptionError, suggestion
 from kpirl_ocp.sizes import read_text
-from kpirl_ocp.spelling import suggestion
 
 _COMMON = ("config", "quiet", "help")
 

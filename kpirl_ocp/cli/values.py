@@ -9,8 +9,8 @@ from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from kpirl_ocp.errors import suggestion
 from kpirl_ocp.sizes import check_file
-from kpirl_ocp.spelling import suggestion
 
 MOST_PROCESSES = 1024  # or threads
 # Without underscores, spaces and digits of other scripts, all of which Python takes.

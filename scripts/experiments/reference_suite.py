@@ -8,9 +8,8 @@ from tqdm import tqdm
 
 from kpirl_ocp import SQP, Fatrop, Ipopt, Riccati
 from kpirl_ocp.episodes import write_whole
-from kpirl_ocp.errors import CertificateError, OptionError
+from kpirl_ocp.errors import CertificateError, OptionError, suggestion
 from kpirl_ocp.reporting import said_if_interrupted
-from kpirl_ocp.spelling import suggestion
 
 SOLVERS = (Riccati(1e-9), Ipopt(1e-9), Fatrop(1e-7), SQP())
 HEADER = ("problem", "source", "T", "published", "found", "Riccati", "Ipopt", "Fatrop", "SQP", "gradient", "psi")

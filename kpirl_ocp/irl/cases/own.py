@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from kpirl_ocp.errors import FileError, ProblemError
+from kpirl_ocp.errors import FileError, ProblemError, suggestion
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.statement.checks import shown
-from kpirl_ocp.spelling import suggestion
 from kpirl_ocp.types import Array
 
 _EXPECTED = "it must return an OCP and a dictionary with its numbers"

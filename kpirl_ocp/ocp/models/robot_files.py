@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from kpirl_ocp.errors import DependencyError, RobotError
-from kpirl_ocp.spelling import suggestion
+from kpirl_ocp.c_output import captured
+from kpirl_ocp.errors import DependencyError, RobotError, suggestion
 
 REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 CONTINUOUS = ("JointModelRUBX", "JointModelRUBY", "JointModelRUBZ", "JointModelRevoluteUnboundedUnaligned")
@@ -36,9 +37,12 @@ def read_urdf(path: Path) -> pin.Model:
         target = path.with_suffix("") if path.suffix == ".xacro" else path.with_suffix(".expanded.urdf")
         raise RobotError(f"{path} is a xacro file, not yet a URDF: expand it with `xacro {path} > {target}`.")
     try:
-        model = pin.buildModelFromUrdf(str(path), True)  # True: with mimic joints
+        with captured(2) as said:
+            model = pin.buildModelFromUrdf(str(path), True)  # True: with mimic joints
     except ValueError as error:
-        raise RobotError(f"{path} cannot be read as a URDF: {_reason(error)}") from error
+        raise RobotError(f"{path} cannot be read as a URDF: {_reason(error, said)}.") from error
+    for line in said:  # of what does not matter to the joints, such as a geometry
+        print(line, file=sys.stderr)
     _check_joints(path, model)
     return model
 
@@ -157,6 +161,8 @@ def _check_limits(model: pin.Model, joints: list[tuple[str, pin.JointModel]]) ->
         )
 
 
-def _reason(error: ValueError) -> str:
-    """Pinocchio's message without the places in its own sources."""
-    return " ".join(str(error).split("message:\n")[-1].split("\nhint:")[0].split())
+def _reason(error: ValueError, said: Iterable[str]) -> str:
+    """The first complaint of the parser of URDF, else Pinocchio's message, without the places in their sources."""
+    complaints = (line.removeprefix("Error:").strip() for line in said if line.startswith("Error:"))
+    message = " ".join(str(error).split("message:\n")[-1].split("\nhint:")[0].split())
+    return next(complaints, message).rstrip(".")

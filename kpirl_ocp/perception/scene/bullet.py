@@ -2,35 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-
+from kpirl_ocp.c_output import captured
 from kpirl_ocp.errors import DependencyError
 
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Discard the output of C code to the process's standard streams."""
-    library = ctypes.CDLL(None)
-    library.fflush(None)
-    kept = os.dup(1), os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
-        yield
-        library.fflush(None)
-    finally:
-        os.dup2(kept[0], 1)
-        os.dup2(kept[1], 2)
-        for descriptor in (*kept, nowhere):
-            os.close(descriptor)
-
-
 try:
-    with _quiet():
+    with captured(1, 2):
         import pybullet
         from pybullet_utils.bullet_client import BulletClient
 except ImportError as error:
@@ -42,5 +18,5 @@ except ImportError as error:
 
 def connect() -> BulletClient:
     """A new world without a window."""
-    with _quiet():
+    with captured(1, 2):
         return BulletClient(pybullet.DIRECT)
