@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from two_link_arm import GOAL, START, folding, hand, two_link_arm
 
 from kpirl_ocp import LBFGS, OCP, Demonstration, Implicit, Ipopt, Riccati
 from kpirl_ocp.errors import ProblemError
@@ -13,7 +14,6 @@ from kpirl_ocp.irl.baselines.inverse_kkt import inverse_kkt, simplex_least_squar
 from kpirl_ocp.irl.baselines.max_entropy import max_entropy, negative_log_likelihood
 from kpirl_ocp.irl.baselines.single_level import single_level
 from kpirl_ocp.irl.cases.examples import CASES
-from kpirl_ocp.irl.cases.two_link_arm import GOAL, START, folding, hand, two_link_arm
 from kpirl_ocp.irl.learning.learn import learn
 
 

@@ -6,7 +6,6 @@ from kpirl_ocp.irl.cases.network_cases import NetworkCase, network_case, placing
 from kpirl_ocp.irl.cases.own import OwnProblem, load_own
 from kpirl_ocp.irl.cases.planar_arm import planar_dynamics, without_joints
 from kpirl_ocp.irl.cases.tasks import HORIZON, TASKS, as_demonstration, demonstrate, write_demonstrations
-from kpirl_ocp.irl.cases.two_link_arm import two_link_arm
 
 __all__ = [
     "BASES",
@@ -27,7 +26,6 @@ __all__ = [
     "placing_case",
     "planar_dynamics",
     "robot_called",
-    "two_link_arm",
     "unconstrained",
     "without_joints",
     "write_demonstrations",
