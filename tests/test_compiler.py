@@ -132,6 +132,18 @@ def test_tanh_of_an_array_keeps_nan_infinity_and_the_sign_of_zero(cache):
 
 
 @needs_compiler
+@pytest.mark.parametrize("count", [1, 31, 32, 33, 100])
+def test_the_least_and_the_largest_of_an_array_are_those_of_numpy_and_pass_over_nan(cache, count):
+    x = ca.MX.sym("x", count)
+    compiled = native.compiled(ca.Function("extremes", [x], [ca.mmin(x), ca.mmax(x)]))
+    for place in range(0, count, 7):
+        numbers = np.random.default_rng(place).normal(size=count)
+        if count > 1:
+            numbers[place] = np.nan
+        assert [float(found) for found in compiled(numbers)] == [np.nanmin(numbers), np.nanmax(numbers)]
+
+
+@needs_compiler
 def test_generated_products_and_copies_use_the_kernels_of_this_package(cache):
     x = ca.MX.sym("x", 20, 20)
     generator = ca.CodeGenerator("product.c")

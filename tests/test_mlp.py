@@ -10,7 +10,7 @@ import pytest
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.activations import ACTIVATIONS
 from kpirl_ocp.ocp.models.keypoint_dynamics import LinearisedNetwork, NetworkDynamics
-from kpirl_ocp.ocp.models.mlp import MLP, flatten_slopes, jacobian, jvp, unflatten_slopes, vjp, vjp_tangent
+from kpirl_ocp.ocp.models.mlp import MLP, clearance, flatten_slopes, jacobian, jvp, unflatten_slopes, vjp, vjp_tangent
 from kpirl_ocp.ocp.models.mlp_hessian import prepare, second
 from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedByStage
 
@@ -142,6 +142,16 @@ def test_hand_arranged_derivatives_are_those_of_ad(activation, output_activation
     for _ in range(5):
         values = both(*[rng.normal(size=n) for n in (9, 9, 4, 4)])
         assert_agree(values[:5], values[5:], 2e-14)
+
+
+@every_activation
+def test_the_clearance_is_that_of_the_argument_nearest_to_a_kink_relative_to_the_largest_of_its_layer(activation):
+    mlp, points = random_mlp(activation, widths=(9, 13, 6)), np.random.default_rng(1).normal(size=(9, 3))
+    x = ca.MX.sym("x", 9, 3)
+    found = float(ca.Function("clearance", [x], [clearance(mlp.linearise(x)[1])])(points))
+    size = np.abs(mlp.weights[0] @ points + mlp.biases[0][:, None])
+    kinked = activation in ("relu", "leaky_relu", "elu")
+    np.testing.assert_allclose(found, size.min() / size.max() if kinked else np.inf, rtol=1e-11)
 
 
 @every_activation

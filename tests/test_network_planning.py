@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from problems import pendulum
+from scipy.optimize import brentq
 
 from kpirl_ocp import (
     Adam,
@@ -16,6 +17,7 @@ from kpirl_ocp import (
     GradientDescent,
     Implicit,
     Ipopt,
+    Trajectory,
     Truncated,
     Unrolled,
     learn,
@@ -233,6 +235,31 @@ def test_learning_takes_the_mean_over_demonstrations_evaluated_together():
     assert error(point.gradient, np.mean([result.gradient for result in alone], axis=0)) <= 1e-12
     result = learn(problem, found, psi, method, steps=5, progress=False)
     assert result.loss < result.losses[0]
+
+
+def test_slopes_to_both_sides_are_taken_only_where_an_iterate_comes_near_a_kink_of_the_network():
+    """Two steps from a start chosen so that the first leads onto the kink of a ReLU; and from one beside it."""
+    problem, mlp = network_problem("relu"), dynamics("relu").mlp
+    (demonstration,), psi = demonstrations(problem), psi_of(problem)
+    s0, context = demonstration.s0, demonstration.context
+
+    def start(first):
+        return Trajectory(np.zeros(0), np.full((HORIZON, 2), [first, 0.1]))
+
+    def argument(first):
+        """Of the third ReLU at the first stage, after one step."""
+        actions = GradientDescent(1, 0.2).solve(problem, s0, psi, context, start(first)).actions
+        return (mlp.weights[0] @ np.concatenate([s0, actions[0]]) + mlp.biases[0])[2]
+
+    kink, method = brentq(argument, -20, 20, xtol=1e-15), Unrolled(GradientDescent(2, 0.2), policy="flag")
+    at, beside = (method(problem, demonstration, psi, start(kink + distance)) for distance in (0, 1e-3))
+    assert "end on a kink or cross one" in str(at.certificate)
+    assert beside.certificate.certified
+    assert beside.certificate.kink == 0
+    measured = method(by_ad(problem), demonstration, psi, start(kink + 1e-3))
+    assert 0 < measured.certificate.kink < 1e-4
+    assert measured.certificate.certified
+    assert error(beside.gradient, measured.gradient) <= 1e-12
 
 
 def test_a_network_that_yields_nan_is_not_certified():

@@ -67,6 +67,6 @@ def alone(data: NetworkCase) -> Evaluation:
 
     def evaluate() -> tuple[float, Array]:
         (output,) = function(actions, data.s0[0], psi, data.goal[0], data.observed[0])
-        return float(output[0]), output[4 : 4 + psi.size].reshape(data.psi.shape)
+        return float(output[0]), output[5 : 5 + psi.size].reshape(data.psi.shape)
 
     return evaluate

@@ -44,6 +44,9 @@ from kpirl_ocp.types import Array, Demonstration, Solution
 _KINK = 1e-12
 # Share of the adjoint that truncation may leave out before the gradient counts as approximate.
 _REMAINDER = 1e-9
+# Clearance from kinks of the dynamics beyond which slopes to both sides of psi, taken over as much of psi, show none;
+# times what the steps enlarge differences by.
+_CLEAR = 1e-6
 # Growth of the adjoint back over the steps, and so of rounding along them, that leaves less than eight digits.
 _GROWTH = 1e8
 _WRONG_DERIVATIVES = "The problem's own derivatives are not those of its dynamics: correct them, or leave them out."
@@ -63,7 +66,8 @@ class UnrolledCertificate(Certificate):
     kink_distance: smallest distance of an unprojected iterate to its bound; infinite without projection.
     kink: relative difference between the gradient and the slopes of the loss to both sides, along one fixed random
         direction of psi, from steps taken again at psi beside; what curvature explains is left out. It also measures
-        what truncation left out.
+        what truncation left out. Zero, and not measured, where all functions are smooth by their operations, but for
+        the activations of a network whose arguments stay clear of kinks at all iterates.
     """
 
     steps: int
@@ -170,50 +174,55 @@ def unrolled_gradients(
     observed = np.concatenate([data_of(loss, problem, demonstration).T for demonstration in demonstrations])
     evaluate = call_function(_function(problem, solver, loss, last, checkpoint, len(inputs)))
     (outputs,) = evaluate(actions, starts, psis, contexts, observed)
-    rows = zip(demonstrations, inputs, outputs.reshape(len(inputs), -1), strict=True)
     sweeps = [
-        _sweep(problem, solver, loss, last, demonstration, psi, context, output)
-        for demonstration, (_, psi, context), output in rows
+        _sweep(problem, solver, last, psi, context, output)
+        for (_, psi, context), output in zip(inputs, outputs.reshape(len(inputs), -1), strict=True)
     ]
-    descents = Descents(problem, solver, loss, inputs[0][1], actions, starts, contexts, observed)
-    losses, gradients, terms = (
-        np.array(found) for found in zip(*((x.loss, x.gradient, x.terms) for x in sweeps), strict=True)
-    )
-    smooth = _smooth(problem, loss)
-    known = smooth and last == solver.steps
-    kinks = np.zeros(len(sweeps)) if known else descents.kinks(losses, gradients, terms)
     wrong = () if passes_agree(problem, len(inputs)) else (_WRONG_DERIVATIVES,)
+    smooth = all(_smooth(problem, loss, sweep.clear) for sweep in sweeps)
+    if smooth and last == solver.steps:
+        return [sweep.result(0.0, wrong) for sweep in sweeps]
+    ends = [
+        LossAt(problem, loss, data_of(loss, problem, demonstration), _plan(sweep.certificate.solution))
+        for demonstration, sweep in zip(demonstrations, sweeps, strict=True)
+    ]
+    found = zip(*((x.loss, x.gradient, x.terms(at)) for x, at in zip(sweeps, ends, strict=True)), strict=True)
+    descents = Descents(problem, solver, loss, inputs[0][1], actions, starts, contexts, observed)
+    kinks = descents.kinks(*map(np.array, found)).tolist()
     return [
-        sweep.result(kink, (*wrong, *([] if smooth else sweep.kinks(problem))))
-        for sweep, kink in zip(sweeps, kinks.tolist(), strict=True)
+        sweep.result(kink, (*wrong, *([] if smooth else sweep.kinks(problem, at))))
+        for sweep, at, kink in zip(sweeps, ends, kinks, strict=True)
     ]
 
 
 @lru_cache(maxsize=64)
-def _smooth(problem: OCP, loss: Loss) -> bool:
-    """Is the map from psi to the loss a composition of smooth functions? The projection onto bounds is judged apart."""
-    stated = (problem.dynamics, problem.stage_cost, problem.terminal_cost, problem.observation, loss(problem))
-    return all(is_smooth(function) for function in stated if function is not None)
+def _smooth(problem: OCP, loss: Loss, clear: bool) -> bool:
+    """Is the map from psi to the loss a composition of smooth functions? The projection onto bounds is judged apart.
+
+    clear: have the dynamics no kink near the iterates?
+    """
+    stated = (problem.stage_cost, problem.terminal_cost, problem.observation, loss(problem))
+    smooth = all(is_smooth(function) for function in stated if function is not None)
+    return smooth and (clear or is_smooth(problem.dynamics))
 
 
 class _Sweep(NamedTuple):
-    """One sweep back, before the slopes to both sides are known; at: the loss at the last iterate."""
+    """One sweep back, before the slopes to both sides are known; clear: have the dynamics no kink near the iterates?"""
 
     loss: float
     gradient: Array
     certificate: UnrolledCertificate
-    at: LossAt
+    clear: bool
 
-    @property
-    def terms(self) -> float:
+    def terms(self, at: LossAt) -> float:
         """The size of the terms of the loss that its rounding is relative to, as the steps enlarge it."""
         with np.errstate(over="ignore", invalid="ignore"):
-            size = abs(self.at.value) + np.abs(self.at.slopes) @ np.abs(_plan(self.certificate.solution))
+            size = abs(at.value) + np.abs(at.slopes) @ np.abs(_plan(self.certificate.solution))
             return float(size * max(1.0, self.certificate.remainder))
 
-    def kinks(self, problem: OCP) -> list[str]:
+    def kinks(self, problem: OCP, at: LossAt) -> list[str]:
         """Sentences where the loss or a function of psi is not smooth at the plan."""
-        return self.at.kinks + parameter_kinks(problem, self.certificate.solution)
+        return at.kinks + parameter_kinks(problem, self.certificate.solution)
 
     def result(self, kink: float, wrong: tuple[str, ...]) -> HypergradientResult:
         """With what else is wrong, and a failure where the steps are not smooth."""
@@ -229,19 +238,10 @@ def _plan(solution: Solution) -> Array:
     return by_stage(solution.states, solution.actions)
 
 
-def _sweep(
-    problem: OCP,
-    solver: GradientDescent,
-    loss: Loss,
-    last: int,
-    demonstration: Demonstration,
-    psi: Array,
-    context: Array,
-    output: Array,
-) -> _Sweep:
+def _sweep(problem: OCP, solver: GradientDescent, last: int, psi: Array, context: Array, output: Array) -> _Sweep:
     """From one column of `unrolled_function`."""
-    value, remainder, kink, initial = output[:4].tolist()
-    gradient, point = output[4 : 4 + problem.n_parameters], output[4 + problem.n_parameters :]
+    value, remainder, kink, clearance, initial = output[:5].tolist()
+    gradient, point = output[5 : 5 + problem.n_parameters], output[5 + problem.n_parameters :]
     solution = audited(problem, solver, psi, context, initial, point)
     certificate = UnrolledCertificate(
         solution=solution,
@@ -252,8 +252,7 @@ def _sweep(
         kink_distance=kink,
         kink=np.inf,  # until it is measured
     )
-    at = LossAt(problem, loss, data_of(loss, problem, demonstration), _plan(solution))
-    return _Sweep(value, gradient, certificate, at)
+    return _Sweep(value, gradient, certificate, clearance > _CLEAR * max(1.0, remainder))
 
 
 def _failures(

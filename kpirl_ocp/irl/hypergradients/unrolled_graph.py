@@ -23,7 +23,13 @@ from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost, reduc
 from kpirl_ocp.ocp.problem.scope import constant_bounds
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
 from kpirl_ocp.ocp.problem.trajectory_passes import Rollout
-from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, gradient_step, projection_slope, terminal_point
+from kpirl_ocp.ocp.solvers.gradient_descent import (
+    GradientDescent,
+    clearance,
+    gradient_step,
+    projection_slope,
+    terminal_point,
+)
 
 _SINGLE = 32  # so many steps, and no more, are written out one by one
 
@@ -31,10 +37,11 @@ _SINGLE = 32  # so many steps, and no more, are written out one by one
 def unrolled_function(
     problem: OCP, solver: GradientDescent, loss: Loss, last: int, checkpoint: bool, columns: int
 ) -> ca.Function:
-    """(U_0, s0, psi, c, Z) -> loss, remainder, kink distance, cost of U_0, gradient, `terminal_point`, in one column.
+    """(U_0, s0, psi, c, Z) -> loss, remainder, kink distance, clearance, cost of U_0, gradient, `terminal_point`.
 
+    One column holds them all.
     For B demonstrations everything has B columns, but U_0 (n_u, B T) and Z (n_z, B (T+1)), demonstration by
-    demonstration.
+    demonstration. The clearance from kinks of the dynamics is the least along all iterates of all demonstrations.
     """
     reduced, (u, s0, psi, context) = ReducedCost(problem, columns), reduced_symbols(problem, columns)
     observed = ca.MX.sym("Z", loss(problem).size1_in(2), columns * (problem.horizon + 1))
@@ -50,17 +57,17 @@ def unrolled_function(
     iterate, walk = regroup(u, problem.horizon), []
     for length in skipped + taken:
         start = iterate
-        iterate, values, record = _take(steps[length], start, wide[length])
-        walk.append((length, start, values, record))
+        iterate, values, clearances, record = _take(steps[length], start, wide[length])
+        walk.append((length, start, values, clearances, record))
     kinks = [_kink_distance(problem, solver, record[1], columns) for *_, record in walk]
 
     at = reduced.linearise(s0, iterate, psi, theta)
     value, slope, gradient = _loss_and_gradients(loss, reduced, at, psi, observed)
     adjoint = slope
     by_theta: list[list[ca.MX]] = []
-    for length, start, _, record in reversed(walk[len(skipped) :]):
+    for length, start, *_, record in reversed(walk[len(skipped) :]):
         if checkpoint:
-            _, _, record = _take(steps[length], start, wide[length])
+            *_, record = _take(steps[length], start, wide[length])
         adjoint, by_psi, *share = sweeps[length](adjoint, *record, *wide[length][1:])
         gradient, by_theta = gradient + by_psi, [*by_theta, share]
     totals = (sum(shares[1:], shares[0]) for shares in zip(*by_theta, strict=True))
@@ -70,9 +77,10 @@ def unrolled_function(
     kink = kinks[0]
     for other in kinks[1:]:
         kink = ca.fmin(kink, other)
+    clear = ca.mmin(ca.horzcat(clearance(at), *(clearances for _, _, _, clearances, _ in walk)))
     initial = walk[0][2][:, :columns]
     point = terminal_point(at, columns)
-    output = ca.vertcat(value, remainder, kink, initial, gradient, point)
+    output = ca.vertcat(value, remainder, kink, ca.repmat(clear, 1, columns), initial, gradient, point)
     return ca.Function("unrolled", [u, s0, psi, context, observed], [ca.densify(output)])
 
 
@@ -82,15 +90,15 @@ def _segments(steps: int) -> list[int]:
     return [length] * (steps // length) + ([steps % length] if steps % length else [])
 
 
-def _take(steps: ca.Function, u: ca.MX, constants: Sequence[ca.MX]) -> tuple[ca.MX, ca.MX, list[ca.MX]]:
-    """U after a segment, the costs on the way, and for every step the record that the way back needs.
+def _take(steps: ca.Function, u: ca.MX, constants: Sequence[ca.MX]) -> tuple[ca.MX, ca.MX, ca.MX, list[ca.MX]]:
+    """U after a segment, the costs and clearances on the way, and for every step the record that the way back needs.
 
     constants: s0, psi and theta, side by side for every step.
     """
-    iterates, values, *record = steps.call([u, *constants])
+    iterates, values, clearances, *record = steps.call([u, *constants])
     width = u.size2()
     before = ca.horzcat(u, iterates[:, :-width]) if iterates.size2() > width else u
-    return iterates[:, -width:], values, [before, *record]
+    return iterates[:, -width:], values, clearances, [before, *record]
 
 
 def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns: int) -> ca.Function:
@@ -98,7 +106,7 @@ def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns
     u, s0, psi, *theta = step.mx_in()
     reduced, coefficients = ReducedCost(problem, columns), Coefficients(*theta)
     remembered = len(reduced.passes.rollout(s0, u, psi).memory)
-    free, states, *record = symbols_like("record", step.mx_out()[2:])
+    free, states, *record = symbols_like("record", step.mx_out()[3:])
     at = Rollout(states, u, tuple(record[:remembered]))
     v = ca.MX.sym("v", *u.shape)
     moved = projection_slope(problem, solver, free) * v

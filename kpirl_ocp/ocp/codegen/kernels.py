@@ -235,19 +235,42 @@ static void kernel_tanh(const casadi_real* x, casadi_int n, casadi_real* y) {
 
 """
 
-SOURCES = _KERNEL + _COPY + _TANH + inspect.getsource(copy_elision)
+# The least and the largest of an array; as with fmin and fmax, NaN does not count.
+_EXTREME = r"""static casadi_real casadi_vf@name@(const casadi_real* x, casadi_int n, casadi_real r) {
+  casadi_real some[32];
+  casadi_int i = 0;
+  int j, half;
+  for (j = 0; j < 32; ++j) some[j] = r;
+  for (; i + 32 <= n; i += 32)
+    for (j = 0; j < 32; ++j) some[j] = x[i + j] @than@ some[j] ? x[i + j] : some[j];
+  for (half = 16; half > 0; half /= 2)
+    for (j = 0; j < half; ++j) some[j] = some[j + half] @than@ some[j] ? some[j + half] : some[j];
+  for (r = some[0]; i < n; ++i) r = x[i] @than@ r ? x[i] : r;
+  return r;
+}
+"""
+_LEAST, _LARGEST = (
+    _EXTREME.replace("@name@", name).replace("@than@", than) for name, than in (("min", "<"), ("max", ">"))
+)
+
+SOURCES = _KERNEL + _COPY + _LEAST + _LARGEST + _TANH + inspect.getsource(copy_elision)
 """All text on which the result of `with_fast_kernels` depends; for the key of a cache."""
-_BODIES = {"casadi_mtimes_dense": _KERNEL.lstrip(), "casadi_copy": _COPY}
+_BODIES = {
+    "void casadi_mtimes_dense": _KERNEL.lstrip(),
+    "void casadi_copy": _COPY,
+    "casadi_real casadi_vfmin": _LEAST,
+    "casadi_real casadi_vfmax": _LARGEST,
+}
 _TANH_LOOP = re.compile(r"for \(i=0, rr=([^,]+), cs=([^;]+); i<(\d+); \+\+i\) \*rr\+\+ = tanh\( ?\*cs\+\+ ?\);")
 
 
 def with_fast_kernels(source: str) -> str:
-    """Generated C with its dense matrix product, copies and tanh of arrays replaced, and with fewer copies.
+    """Generated C with its dense products, copies, extremes and tanh of arrays replaced, and with fewer copies.
 
     Nothing is added for functions that it does not contain.
     """
     for name, body in _BODIES.items():
-        start = source.find(f"void {name}(")
+        start = source.find(f"{name}(")
         if start >= 0:
             end = source.index("\n}\n", start) + len("\n}\n")
             source = source[:start] + body + source[end:]

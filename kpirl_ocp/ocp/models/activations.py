@@ -13,22 +13,26 @@ import casadi as ca
 
 @dataclass(frozen=True)
 class Slopes:
-    """sigma'(a) and sigma''(a), entry by entry; None stands for a slope of one, or for no curvature anywhere."""
+    """sigma'(a) and sigma''(a), entry by entry; None stands for a slope of one, or for no curvature anywhere.
+
+    kink: the numbers at whose zeros sigma' or sigma'' jumps; None where sigma is smooth.
+    """
 
     first: ca.MX | None
     second: ca.MX | None
+    kink: ca.MX | None = None
 
 
 def relu(a: ca.MX) -> tuple[ca.MX, Slopes]:
     """max(a, 0); the slope at the kink is zero, as in torch. One product: an overflow to -infinity shows as NaN."""
     slope = a > 0
-    return slope * a, Slopes(slope, None)
+    return slope * a, Slopes(slope, None, a)
 
 
 def leaky_relu(a: ca.MX) -> tuple[ca.MX, Slopes]:
     """The argument where it is positive, a hundredth of it elsewhere (torch's default)."""
     slope = 0.01 + 0.99 * (a > 0)
-    return slope * a, Slopes(slope, None)
+    return slope * a, Slopes(slope, None, a)
 
 
 def identity(a: ca.MX) -> tuple[ca.MX, Slopes]:
@@ -66,7 +70,7 @@ def elu(a: ca.MX) -> tuple[ca.MX, Slopes]:
     positive = a > 0
     negative = ca.if_else(positive, 0, a)
     growth = ca.exp(negative)
-    return ca.if_else(positive, a, 0) + ca.expm1(negative), Slopes(growth, ca.if_else(positive, 0, growth))
+    return ca.if_else(positive, a, 0) + ca.expm1(negative), Slopes(growth, ca.if_else(positive, 0, growth), a)
 
 
 def _logistic(a: ca.MX) -> tuple[ca.MX, ca.MX]:

@@ -20,7 +20,16 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
-from kpirl_ocp.ocp.models.mlp import MLP, flatten_slopes, has_curvature, jvp, unflatten_slopes, vjp, vjp_tangent
+from kpirl_ocp.ocp.models.mlp import (
+    MLP,
+    clearance,
+    flatten_slopes,
+    has_curvature,
+    jvp,
+    unflatten_slopes,
+    vjp,
+    vjp_tangent,
+)
 from kpirl_ocp.ocp.problem.columns import scan
 from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout
 from kpirl_ocp.types import Array
@@ -39,9 +48,9 @@ class NetworkPasses:
         z0, theta0, velocity = self._parts(s0)
         theta = self._sum(theta0, actions)
         constant = ca.mac(ca.DM(self._by_velocity), velocity, ca.repmat(ca.DM(self._mlp.biases[0]), 1, self.columns))
-        z, *memory = scan(self._forward, z0, self._drive_inputs(theta, actions, constant), self.horizon)
+        z, clearances, *memory = scan(self._forward, z0, self._drive_inputs(theta, actions, constant), self.horizon)
         states = _stack(ca.horzcat(z0, z), theta, ca.repmat(velocity, 1, self.horizon + 1))
-        return Rollout(states, actions, tuple(memory))
+        return Rollout(states, actions, tuple(memory), ca.mmin(clearances))
 
     def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
         """Changes of the states, of s_0 none."""
@@ -149,10 +158,11 @@ class NetworkPasses:
 
     @cached_property
     def _forward(self) -> ca.Function:
-        """z, inputs for e_t -> z_next, slopes."""
+        """z, inputs for e_t -> z_next, clearance, slopes."""
         z, (inputs, drive) = self._symbol("z"), self._drive_symbols(constant=True)
         y, slopes = self._mlp.linearise(z, drive)
-        return ca.Function("forward", [z, *inputs], [self._residual(z) + y, *flatten_slopes(slopes)])
+        outputs = [self._residual(z) + y, clearance(slopes), *flatten_slopes(slopes)]
+        return ca.Function("forward", [z, *inputs], outputs)
 
     @cached_property
     def _tangent(self) -> ca.Function:

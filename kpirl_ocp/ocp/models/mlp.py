@@ -20,6 +20,8 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.activations import ACTIVATIONS, Slopes
 from kpirl_ocp.types import Array
 
+_TINY = np.finfo(float).tiny
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MLP:
@@ -175,6 +177,12 @@ def jacobian(mlp: MLP, slopes: Sequence[Slopes]) -> ca.MX:
     for weight, slope in zip(reversed(mlp.weights), reversed(slopes), strict=True):
         columns = ca.DM(weight.T) @ scale_rows(slope.first, columns)
     return columns.T
+
+
+def clearance(slopes: Sequence[Slopes]) -> ca.MX:
+    """The argument of an activation nearest to a kink, relative to the largest of its layer; infinite without kinks."""
+    sizes = [ca.fabs(slope.kink) for slope in slopes if slope.kink is not None]
+    return ca.mmin(ca.vertcat(np.inf, *(ca.mmin(size) / (ca.mmax(size) + _TINY) for size in sizes)))
 
 
 def has_curvature(slopes: Sequence[Slopes]) -> bool:

@@ -5,6 +5,7 @@ u <- P(u - alpha grad_u C_psi(rollout(s0, u))),    P the identity, or the projec
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate
@@ -56,6 +57,7 @@ class GradientDescent:
         return audited(problem, self, psi, context, float(output[0]), output[1:])
 
 
+@lru_cache(maxsize=64)
 def check_constraints(problem: OCP, project: bool) -> None:
     """Raise ProblemError if the problem has constraints that gradient descent would ignore."""
     refuse_features(problem, "gradient descent")
@@ -72,7 +74,7 @@ def check_constraints(problem: OCP, project: bool) -> None:
 
 
 def gradient_step(problem: OCP, solver: GradientDescent, columns: int = 1) -> ca.Function:
-    """(U (n_u, T B), s0, psi, theta) -> next U, J (1, B), U before the projection, states, memories.
+    """(U (n_u, T B), s0, psi, theta) -> next U, J (1, B), clearance, U before the projection, states, memories.
 
     theta stands for the two arrays of `Coefficients`; the memories of rollout and adjoint are for `hessian_product`.
     """
@@ -83,12 +85,18 @@ def gradient_step(problem: OCP, solver: GradientDescent, columns: int = 1) -> ca
     outputs = [
         project(problem, solver, free),
         at.value,
+        clearance(at),
         free,
         at.rollout.states,
         *at.rollout.memory,
         *at.adjoint.memory,
     ]
     return ca.Function("gradient_step", [u, s0, psi, *theta], outputs)
+
+
+def clearance(at: Linearisation) -> ca.MX:
+    """That of the rollout from kinks of the dynamics; 0 where it is not known."""
+    return ca.MX(0.0) if at.rollout.clearance is None else at.rollout.clearance
 
 
 def project(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX:
@@ -172,9 +180,9 @@ def _bound_multipliers(problem: OCP, actions: Array, slope: Array) -> Array:
 
 
 def _status(trajectory: Trajectory, before: float, objective: float, residual: float, tolerance: float) -> Status:
-    values = np.concatenate([trajectory.states.ravel(), trajectory.actions.ravel(), [objective, residual]])
-    if not np.isfinite(values).all():
-        return Status.DIVERGED if np.isfinite(before) else Status.NOT_FINITE
+    plan = trajectory.states, trajectory.actions
+    if not (math.isfinite(objective) and math.isfinite(residual) and all(np.isfinite(part).all() for part in plan)):
+        return Status.DIVERGED if math.isfinite(before) else Status.NOT_FINITE
     if residual <= tolerance:
         return Status.CONVERGED
     return Status.STEPS_TAKEN if objective <= before else Status.DIVERGED
