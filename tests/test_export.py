@@ -1,5 +1,6 @@
 """The exported controller does what the Python solver does: same status, same iterations, same numbers."""
 
+import json
 import re
 from dataclasses import replace
 
@@ -132,6 +133,18 @@ def test_sqp_is_that_of_python_with_path_constraints(tmp_path):
     np.testing.assert_allclose(found.actions, optimum.actions, atol=1e-8)
 
 
+def test_sqp_counts_its_quadratic_programs_and_takes_limit_and_tolerance_at_run_time(tmp_path):
+    case = TABLE["swing-up"]()
+    seen, problem = case.demonstration, case.problem
+    ours = ExportedSolver(export_c(problem, SQP(), tmp_path, psi=case.psi), STRICT)
+    for limits in ({"max_iterations": 3}, {"max_iterations": 200, "tolerance": 1e-3}, {"tolerance": 1e-8}):
+        ours.set(**limits)
+        found = ours.solve(problem, seen.s0, case.psi, seen.context)
+        reference = SQP(**limits).solve(problem, seen.s0, case.psi, seen.context)
+        assert (found.status, found.iterations) == (reference.status, reference.iterations)
+        np.testing.assert_allclose(found.actions, reference.actions, rtol=0, atol=1e-9)
+
+
 def test_bounds_are_those_of_the_problem_at_hand():
     ours, case = controller("swing-up")
     seen, lower, upper = case.demonstration, *case.problem.action_bounds
@@ -195,3 +208,24 @@ def test_a_folder_of_another_format_or_none_is_refused(tmp_path):
     (tmp_path / "manifest.json").write_text('{"format": 0}')
     with pytest.raises(FileError, match="export it again"):
         ExportedSolver(tmp_path)
+
+
+def test_a_manifest_with_entries_of_another_kind_is_refused_by_name(tmp_path):
+    """Their sizes are those of the structures that C writes into."""
+    path = export_c(TABLE["lqr"]().problem, CONVERGED, tmp_path) / "manifest.json"
+    whole = json.loads(path.read_text())
+    sizes = [name for name, value in whole["problem"].items() if type(value) is int]
+    assert len(sizes) == 11
+    spoiled = {key: [whole | {key: value} for value in (None, 5, [], True)] for key in ("prefix", "sha256")}
+    spoiled["solver.kind"] = [whole | {"solver": value} for value in (None, {}, [], {"kind": 3})]
+    for name in sizes:
+        values = (None, -1, 2.5, "2", True, 10**30)
+        spoiled[f"problem.{name}"] = [whole | {"problem": whole["problem"] | {name: value}} for value in values]
+    for name, manifests in spoiled.items():
+        for manifest in manifests:
+            path.write_text(json.dumps(manifest))
+            with pytest.raises(FileError, match=f"{name} must be .*: export it again"):
+                ExportedSolver(tmp_path)
+    path.write_text(json.dumps(whole | {"prefix": "other"}))
+    with pytest.raises(FileError, match="has no other_size in its sources"):
+        ExportedSolver(tmp_path, STRICT)

@@ -15,6 +15,7 @@ from problems import TABLE
 
 import kpirl_ocp
 from kpirl_ocp import GradientDescent, Riccati
+from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.ocp.codegen import portable_c as generated
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
@@ -27,8 +28,9 @@ COUNTED = ("-std=c99", "-DCOUNT_ALLOCATIONS", "-Wl,--wrap=malloc,--wrap=calloc,-
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
-def test_the_recorded_solves_are_reproduced(compiler):
-    out, _ = folder("integrator", CONVERGED)
+@pytest.mark.parametrize("solver", [CONVERGED, SQP()], ids=lambda solver: type(solver).__name__)
+def test_the_recorded_solves_are_reproduced(solver, compiler):
+    out, _ = folder("integrator", solver)
     assert "all agree" in built(out, out / "test/test.c", *STRICT, compiler=compiler)
 
 
@@ -164,8 +166,9 @@ def test_cmake_builds_and_tests_it(tmp_path):
     assert "ok" in ran(tmp_path / "kpirl_mpc_example")
 
 
-def test_a_deadline_ends_the_solve_where_it_is():
-    out, case = folder("integrator", CONVERGED)
+@pytest.mark.parametrize("solver", [Riccati, SQP])
+def test_a_deadline_ends_the_solve_where_it_is(solver):
+    out, case = folder("swing-up", solver())
     ours, ticks = ExportedSolver(out, STRICT), iter(range(1000))
     clock = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p)(lambda _: next(ticks))
     ours.set(now=ctypes.cast(clock, ctypes.c_void_p), time_limit=3.0)
@@ -173,7 +176,7 @@ def test_a_deadline_ends_the_solve_where_it_is():
     late = ours.solve(case.problem, seen.s0, case.psi, seen.context)
     assert late.iterations == 2  # the clock is looked at before every iteration
     assert "time limit" in late.message
-    expected = Riccati(max_iterations=2).solve(case.problem, seen.s0, case.psi, seen.context)
+    expected = solver(max_iterations=2).solve(case.problem, seen.s0, case.psi, seen.context)
     np.testing.assert_allclose(late.actions, expected.actions, rtol=0, atol=1e-12)
 
 
@@ -208,6 +211,22 @@ def test_generated_code_has_no_globals_that_change():
     variables = re.findall(r"^static (?!const)[^(]*;$", source, flags=re.MULTILINE)
     assert variables == []
     assert not re.search(r"\bmalloc\b|\bprintf\b", source)
+
+
+@pytest.mark.parametrize(
+    ("known", "other"),
+    [
+        ("if (iter_count >= 50) break;", "if (iter_count > 49) break;"),
+        ("return casadi_f0(arg, res, iw, w, mem);", "return casadi_f0(arg, res, iw, w, 0);"),
+    ],
+)
+def test_another_text_of_sqpmethod_than_the_known_one_is_refused(known, other, monkeypatch):
+    """Where its iterations end is changed in the text; a solver without an end would never return."""
+    solver, generate = program(TABLE["lqr"]().problem, SQP(max_iterations=50)), generated._generate
+    assert known in generate([solver])
+    monkeypatch.setattr(generated, "_generate", lambda functions: generate(functions).replace(known, other))
+    with pytest.raises(CompilerError, match="is not known here"):
+        generated.definitions([solver], {})
 
 
 def test_a_folder_holds_no_code_that_only_certificates_need():

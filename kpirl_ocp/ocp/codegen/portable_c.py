@@ -8,7 +8,9 @@ the number type. What has no option is changed in the text:
 - constants are of the number type, so that single precision is not promoted to double;
 - the address of an empty array, written 0 + i*0, is no pointer: such a copy of nothing is left out;
 - the memory of `sqpmethod`, a pool of static structures behind a counter, becomes a local variable, as it does not
-  outlive a call.
+  outlive a call;
+- `sqpmethod` asks its caller when to stop: tolerance and iterations that are compiled in make way for a call of
+  kpirl_mpc_<name>_stops, which is written by hand, and gets what the caller handed over as `watch`.
 
 Other files call the functions by name: with a structure of pointers for the arguments, and one for the results, whose
 members bear the names of the function's inputs and outputs.
@@ -100,6 +102,8 @@ def declarations(functions: Sequence[ca.Function], interfaces: Interfaces) -> st
         if name != STAGE:
             users = [function for function in functions if _interface(function, interfaces) == name]
             lines += _structures(name, users)
+    for function in filter(_is_solver, functions):
+        lines += [_QUESTION.format(_question(function))]
     for function in functions:
         described = str(function).split(":", 1)[1]
         lines += ["", f"/* {described} */", f"{_signature(function, interfaces)};"]
@@ -120,7 +124,10 @@ def definitions(functions: Sequence[ca.Function], interfaces: Interfaces) -> str
     if "#error" in source:
         raise _unknown("something that it refuses to generate, without a name")
     calls = "\n".join(_call(function, interfaces) for function in functions)
-    return _preamble() + portable(source) + "\n" + calls
+    text = portable(source)
+    for solver in filter(_is_solver, functions):
+        text = _with_question(text, solver.name(), _question(solver))
+    return _preamble() + text + "\n" + calls
 
 
 def refuse_libraries(functions: Iterable[ca.Function]) -> None:
@@ -166,6 +173,7 @@ def _structures(name: str, users: Sequence[ca.Function]) -> list[str]:
     results = dict.fromkeys(one for function in users for one in function.name_out())
     return [
         *("", f"typedef struct {PREFIX}_{name}_arguments {{", f"  const real {_pointers(arguments)};"),
+        *(["  void *watch;"] if any(map(_is_solver, users)) else []),
         *(f"}} {PREFIX}_{name}_arguments;", "", f"typedef struct {PREFIX}_{name}_results {{"),
         *(f"  real {_pointers(results)};", f"}} {PREFIX}_{name}_results;"),
     ]
@@ -186,8 +194,9 @@ def _call(function: ca.Function, interfaces: Interfaces) -> str:
     lines = [f"{_signature(function, interfaces)} {{", f"  {PREFIX}_scratch *scratch = ({PREFIX}_scratch *)self;"]
     lines += [f"  scratch->arguments[{i}] = arguments->{name};" for i, name in enumerate(function.name_in())]
     lines += [f"  scratch->results[{i}] = results->{name};" for i, name in enumerate(function.name_out())]
-    work = "scratch->arguments, scratch->results, scratch->integers, scratch->reals, 0"
-    return "\n".join([*lines, f"  return {function.name()}({work});", "}", ""])
+    work = "scratch->arguments, scratch->results, scratch->integers, scratch->reals"
+    last = "arguments->watch" if _is_solver(function) else "0"
+    return "\n".join([*lines, f"  return {function.name()}({work}, {last});", "}", ""])
 
 
 def _with_product(source: str) -> str:
@@ -229,6 +238,42 @@ def _without_static_memory(source: str) -> str:
     if variables:
         raise _unknown(f"the static memory {variables[0]!r}")
     return source
+
+
+_QUESTION = """
+/* Asked by the solver before every quadratic program: is it to stop, after so many of them? Stationarity: of the
+ * Lagrangian. watch: that of its arguments. */
+int {}(void *watch, int iterations, real violation, real stationarity);"""
+_ENDS = re.compile(
+    r"^( *)if \(iter_count >= 0 && pr_inf < [^&]+ && du_inf < [^&]+\) break;\n *if \(iter_count >= \d+\) break;\n",
+    flags=re.MULTILINE,
+)
+
+
+def _is_solver(function: ca.Function) -> bool:
+    return bool(function.class_name() == "Sqpmethod")
+
+
+def _question(function: ca.Function) -> str:
+    return f"{PREFIX}_{function.name()}_stops"
+
+
+def _with_question(source: str, name: str, question: str) -> str:
+    """With a question to the caller in the place of tolerance and iterations, in the solver of this name.
+
+    The caller's pointer takes the place of CasADi's `mem`, which nothing reads.
+    """
+    called = re.search(rf"\bint {name}\(.*, int mem\)\{{\n  return (\w+)\(arg, res, iw, w, mem\);", source)
+    if called is None:
+        raise _unknown(f"how {name} calls its solver")
+    source = source.replace(called[0], called[0].replace("int mem", "void* mem"))
+    start = source.find(f"\nstatic int {called[1]}(")
+    end = source.find("\n}\n", start)
+    head, mem, body = source[start:end].partition(", int mem) {\n")
+    body, count = _ENDS.subn(rf"\1if ({question}(mem, iter_count, pr_inf, du_inf)) break;\n", body)
+    if start < 0 or not mem or count != 1:
+        raise _unknown(f"where the iterations of {name} end")
+    return f"{source[:start]}{head}, void* mem) {{\n{body}{source[end:]}"
 
 
 def _unknown(what: str) -> CompilerError:

@@ -22,7 +22,7 @@ class Target:
     data: what belongs into the file of constants.
     steps, max_iterations, tolerance, barrier: the settings of a new controller; see `kpirl_mpc_settings`.
     single_tolerance: the tightest tolerance that makes sense in single precision.
-    counts: whether it knows its iterations, and why it stopped.
+    restores: whether it looks for a feasible point where it gets stuck, and so may say INFEASIBLE.
     """
 
     kind: str
@@ -39,7 +39,7 @@ class Target:
     single_tolerance: float
     with_core: bool = False
     data: str = ""
-    counts: bool = True
+    restores: bool = True
 
 
 def dynamics(problem: OCP) -> ca.Function:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.errors import CompilerError, ProblemError
+from kpirl_ocp.errors import CompilerError, FileError, ProblemError
 from kpirl_ocp.ocp.codegen.c_structures import SETTINGS, Structures, address
 from kpirl_ocp.ocp.codegen.compiler import EXPORT_FLAGS_NATIVE, compile_folder
 from kpirl_ocp.ocp.export.manifest import check, read, takes_schedules
@@ -23,6 +23,7 @@ from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 _INPUT = -2  # KPIRL_MPC_ERROR_INPUT
+_CLOCK = ("time_limit", "now", "clock")
 # Where the parts of `Multipliers` stand in the C structures.
 _MULTIPLIERS = {
     "dynamics": "dynamics",
@@ -51,7 +52,7 @@ class ExportedSolver:
             FileError: the folder is no exported controller, or one of another format.
             CompilerError: it cannot be built.
         """
-        self.folder = Path(folder)
+        self.folder, self._build = Path(folder), (tuple(flags), compiler)
         self.manifest = read(self.folder)
         self.structures = Structures.of(self.manifest["problem"], any("_FLOAT" in flag for flag in flags))
         self._prefix = self.manifest["prefix"]
@@ -157,6 +158,17 @@ class ExportedSolver:
                 raise ProblemError(f"{name} = {value!r} is no value of that setting ({error}).") from error
         self._call("set_settings", self._controller, ctypes.byref(current))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy in another process builds, or finds in the cache, the same folder, and takes over the settings.
+
+        Raises ProblemError under a time limit, whose clock is of this process.
+        """
+        current = self._settings()
+        if current.time_limit > 0:
+            raise ProblemError("the clock of a time limit stays in its process: set time_limit=0 before pickling.")
+        kept = {name: getattr(current, name) for name in SETTINGS if name not in _CLOCK}
+        return _again, (self.folder, *self._build, kept)
+
     @property
     def version(self) -> str:
         """Of the exported library."""
@@ -173,7 +185,10 @@ class ExportedSolver:
         return current
 
     def _function(self, name: str) -> Any:
-        return getattr(self._library, f"{self._prefix}_{name}")
+        try:
+            return getattr(self._library, f"{self._prefix}_{name}")
+        except AttributeError:
+            raise FileError(f"{self.folder} has no {self._prefix}_{name} in its sources: export it again.") from None
 
     def _status(self, name: str, *arguments: Any) -> int:
         return int(self._function(name)(*arguments))
@@ -271,6 +286,12 @@ class ExportedSolver:
             barrier=self._settings().barrier,
             message=f"{self._prefix}: {self._message(_INPUT)}",
         )
+
+
+def _again(folder: Path, flags: Sequence[str], compiler: str | None, settings: Mapping[str, Any]) -> ExportedSolver:
+    found = ExportedSolver(folder, flags, compiler)
+    found.set(**settings)
+    return found
 
 
 def _parts(problem: OCP, multipliers: Multipliers) -> dict[str, Array]:

@@ -70,7 +70,7 @@ def export_c(
     records = [record(problem, solver, parameters, *pair) for pair in pairs]
     for each in records:
         _check_solved(each)
-    files["test/records.h"] = header(records, target.counts)
+    files["test/records.h"] = header(records, target)
 
     files = {templates.renamed(name, prefix): templates.renamed(text, prefix) for name, text in files.items()}
     out = Path(directory)

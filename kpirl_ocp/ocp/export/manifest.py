@@ -18,11 +18,21 @@ from kpirl_ocp.ocp.codegen.target import Target
 from kpirl_ocp.ocp.export.constants import dimensions, number
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
-from kpirl_ocp.sizes import read_json
+from kpirl_ocp.ocp.problem.statement.checks import shown
+from kpirl_ocp.sizes import LONGEST, read_json
 from kpirl_ocp.types import Array
 
 FORMAT = 2  # of the folder and its C interface
 NAME = "manifest.json"
+_SIZES = (
+    *("horizon", "n_states", "n_actions", "n_parameters", "n_context", "n_schedule", "n_path", "n_path_equality"),
+    *("n_terminal", "n_terminal_equality", "n_free"),
+)
+_KINDS: dict[str, type] = {
+    **{"prefix": str, "solver.kind": str, "sha256": dict, "problem.free_start": list},
+    **{f"problem.{name}": str for name in ("fingerprint", "schedule")},
+    **{f"problem.{name}": int for name in _SIZES},
+}
 
 
 def write(problem: OCP, solver: Solver, target: Target, prefix: str, psi: Array, texts: Mapping[str, str]) -> str:
@@ -63,7 +73,23 @@ def read(folder: Path) -> dict[str, Any]:
     found = manifest.get("format") if isinstance(manifest, dict) else None
     if found != FORMAT:
         raise FileError(f"{path} has format {found!r}, this version reads {FORMAT}: export it again.")
+    for name, kind in _KINDS.items():
+        _check_entry(path, name, _entry(manifest, name), kind)
     return dict(manifest)
+
+
+def _entry(manifest: Any, name: str) -> Any:
+    """What stands under a name with dots; None where there is nothing."""
+    for key in name.split("."):
+        manifest = manifest.get(key) if isinstance(manifest, dict) else None
+    return manifest
+
+
+def _check_entry(path: Path, name: str, value: Any, kind: type) -> None:
+    fits = isinstance(value, kind) and not isinstance(value, bool)
+    if not fits or (isinstance(value, int) and not 0 <= value <= LONGEST):
+        expected = {str: "a text", int: "a whole number", dict: "an object", list: "a list"}[kind]
+        raise FileError(f"{path}: {name} must be {expected}, got {shown(value)}: export it again.")
 
 
 def remove_former(folder: Path, kept: Mapping[str, str]) -> None:

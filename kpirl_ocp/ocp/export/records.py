@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kpirl_ocp.ocp.codegen.target import Target
 from kpirl_ocp.ocp.codegen.templates import LICENCE, PREFIX
 from kpirl_ocp.ocp.export.constants import numbers
 from kpirl_ocp.ocp.interior_point import results
@@ -41,8 +42,8 @@ def record(problem: OCP, solver: Solver, psi: Array, s0: ArrayLike, context: Arr
     return Record(start, goal, after, cold, solver.solve(problem, after, psi, goal, guess=cold))
 
 
-def header(records: Sequence[Record], counts: bool) -> str:
-    """The records as constants of the C test; see `Target.counts`."""
+def header(records: Sequence[Record], target: Target) -> str:
+    """The records as constants of the C test."""
     arrays = {
         "state": [r.s0 for r in records],
         "context": [r.context for r in records],
@@ -59,14 +60,15 @@ def header(records: Sequence[Record], counts: bool) -> str:
         width = max(values[0].size, 1)
         lines.append(f"static const {kind} {name}_{key}[{len(records)}][{width}] = {{\n{rows}}};\n")
     for key, solutions in (("cold", [r.cold for r in records]), ("warm", [r.warm for r in records])):
-        rows = ", ".join(f"{{{code(s.status, counts)}, {s.iterations if counts else -1}}}" for s in solutions)
+        rows = ", ".join(f"{{{code(s, target)}, {s.iterations}}}" for s in solutions)
         lines.append(f"/* status, iterations */\nstatic const int {name}_{key}[{len(records)}][2] = {{{rows}}};\n")
     uses = " + ".join(f"(int)sizeof {name}_{key}" for key in (*arrays, "cold", "warm"))
     lines.append(f"/* A file may use some of them only. */\nenum {{ {name}_bytes = {uses} }};\n")
     return "\n".join([*lines, "#endif\n"])
 
 
-def code(status: Status, counts: bool) -> int:
-    """The value of the C enum; without counts, all ways of giving up are one."""
-    gave_up = status in (Status.ITERATION_LIMIT, Status.STALLED, Status.INFEASIBLE)
-    return _CODES[Status.FAILED if gave_up and not counts else status]
+def code(solution: Solution, target: Target) -> int:
+    """The value of the C enum; see `Target.restores`."""
+    if target.restores or solution.status is not Status.INFEASIBLE:
+        return _CODES[solution.status]
+    return _CODES[Status.ITERATION_LIMIT if solution.iterations >= target.max_iterations else Status.STALLED]

@@ -1,4 +1,4 @@
-"""CasADi's sqpmethod with qrqp as C: the whole solver is generated; what is written by hand fills its arguments."""
+"""CasADi's sqpmethod with qrqp as C: the solver is generated; written by hand are its arguments and its end."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def target(problem: OCP, solver: SQP) -> Target:
         tolerance=solver.tolerance,
         barrier=0.0,
         single_tolerance=1e-4,
-        counts=False,
+        restores=False,
     )
 
 

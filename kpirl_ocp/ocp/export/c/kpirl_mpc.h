@@ -69,7 +69,7 @@ kpirl_mpc_status kpirl_mpc_reset(kpirl_mpc *mpc);
 
 /* ---- what may change at run time ---------------------------------------------------------------------------- */
 
-/* SQP has its iterations and tolerance compiled in: it takes neither another max_iterations nor a time limit. */
+/* SQP takes neither steps nor a barrier. */
 typedef struct kpirl_mpc_settings {
   int max_iterations;       /* >= 1, before ITERATION_LIMIT */
   int steps;                /* 0: iterate until the conditions hold; else take exactly so many Newton steps without line
@@ -140,7 +140,7 @@ typedef struct kpirl_mpc_solution {
   kpirl_mpc_real complementarity; /* largest |multiplier * slack - barrier| */
   kpirl_mpc_real scale;           /* max(1, gradient of the objective, multipliers) */
   double seconds;                 /* by the clock of the settings; -1 without one */
-  int iterations;                 /* -1 for SQP, which does not say */
+  int iterations;                 /* of SQP: quadratic programs */
   kpirl_mpc_status status;
 } kpirl_mpc_solution;
 

@@ -32,7 +32,7 @@ const char *kpirl_mpc_message(kpirl_mpc_status status) {
     case KPIRL_MPC_STALLED: return "no further progress was possible. Rescale the problem, or pass another guess.";
     case KPIRL_MPC_DIVERGED: return "the iterates diverged. Use a smaller step size, or add effort weight.";
     case KPIRL_MPC_NOT_FINITE: return "a function returned NaN or infinity. Check dynamics and costs at the guess.";
-    case KPIRL_MPC_FAILED: return "the solver gave up: too many iterations, or a subproblem without a solution. Pass another guess.";
+    case KPIRL_MPC_FAILED: return "the solver could not go on. Pass another guess.";
     case KPIRL_MPC_TIME_LIMIT: return "the time limit was reached; the plan is as far as the solver got.";
     case KPIRL_MPC_NOT_SOLVED: return "the plan is not a solution, so this is not its gradient. Solve to a tighter tolerance.";
     case KPIRL_MPC_NOT_A_MINIMUM: return "the Hessian is not positive there: no minimum, and no gradient of one.";

@@ -11,7 +11,7 @@ typedef enum kpirl_mpc_status {
   KPIRL_MPC_STALLED = 4,         /* no further progress was possible */
   KPIRL_MPC_DIVERGED = 5,        /* the iterates diverged, or left the domain of a function */
   KPIRL_MPC_NOT_FINITE = 6,      /* a function returned NaN or infinity */
-  KPIRL_MPC_FAILED = 7,          /* the solver gave up, and does not say why (SQP) */
+  KPIRL_MPC_FAILED = 7,          /* the solver could not go on (SQP) */
   KPIRL_MPC_TIME_LIMIT = 8,      /* the caller's clock ran out; the plan is as far as the solver got */
   KPIRL_MPC_NOT_SOLVED = 9,      /* of a gradient: the plan is not a solution, do not believe it */
   KPIRL_MPC_NOT_A_MINIMUM = 10,  /* stationary, but not a minimum: the Hessian is not positive there */

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT
  *
- * Sequential quadratic programming. The solver itself is generated (CasADi's sqpmethod with qrqp); it does not say how it
- * ended, so the first-order conditions are measured where it stopped.
+ * Sequential quadratic programming. The solver itself is generated (CasADi's sqpmethod with qrqp) and asks when to stop; the
+ * first-order conditions are measured where it stopped.
  */
 #include "kpirl_mpc_controller.h"
 
@@ -22,12 +22,7 @@ int kpirl_mpc_begin(kpirl_mpc *mpc) {
   return 1;
 }
 
-/* Tolerance and iterations are compiled in, and there is no way to stop it. */
-int kpirl_mpc_knows(const kpirl_mpc_settings *settings) {
-  const kpirl_mpc_settings *fixed = &kpirl_mpc_exported_settings;
-  return settings->max_iterations == fixed->max_iterations && settings->steps == 0 && settings->barrier <= 0 &&
-         settings->time_limit <= 0;
-}
+int kpirl_mpc_knows(const kpirl_mpc_settings *settings) { return settings->steps == 0 && settings->barrier <= 0; }
 
 int kpirl_mpc_follows_schedules(void) { return 0; }
 
@@ -152,7 +147,17 @@ static void audit(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, kpirl_mpc_so
 
 /* ---- the solver --------------------------------------------------------------------------------------------- */
 
-static void call_solver(kpirl_mpc *mpc) {
+int kpirl_mpc_sqp_stops(void *watch, int iterations, real violation, real stationarity) {
+  kpirl_mpc *mpc = (kpirl_mpc *)watch;
+  const kpirl_mpc_settings *settings = &mpc->settings;
+  mpc->work.iterations = iterations;
+  if (violation < settings->tolerance && stationarity < settings->tolerance) return 1;
+  mpc->work.late = kpirl_mpc_late(mpc);
+  return mpc->work.late || iterations >= settings->max_iterations;
+}
+
+/* 0, unless it could not go on: then the guess is all there is. */
+static int call_solver(kpirl_mpc *mpc) {
   kpirl_mpc_workspace *work = &mpc->work;
   kpirl_mpc_sqp_arguments at = {0};
   kpirl_mpc_sqp_results to = {0};
@@ -164,21 +169,31 @@ static void call_solver(kpirl_mpc *mpc) {
   at.ubg = work->upper_rows;
   at.lam_x0 = work->guess_w;
   at.lam_g0 = work->guess_rows;
+  at.watch = mpc;
   memcpy(work->w, work->guess, sizeof work->w);
   memset(work->of_w, 0, sizeof work->of_w);
   memset(work->of_rows, 0, sizeof work->of_rows);
   to.x = work->w;
   to.lam_x = work->of_w;
   to.lam_g = work->of_rows;
-  (void)kpirl_mpc_sqp(&mpc->scratch, &at, &to);
+  work->iterations = work->late = 0;
+  return kpirl_mpc_sqp(&mpc->scratch, &at, &to);
+}
+
+static kpirl_mpc_status end(const kpirl_mpc *mpc, const kpirl_mpc_solution *solution) {
+  const kpirl_mpc_workspace *work = &mpc->work;
+  if (!kpirl_mpc_all_finite(work->w, NW) || !isfinite(solution->residual)) return KPIRL_MPC_NOT_FINITE;
+  if (solution->residual <= mpc->settings.tolerance) return KPIRL_MPC_CONVERGED;
+  if (work->late) return KPIRL_MPC_TIME_LIMIT;
+  return work->iterations >= mpc->settings.max_iterations ? KPIRL_MPC_ITERATION_LIMIT : KPIRL_MPC_STALLED;
 }
 
 void kpirl_mpc_plan(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl_mpc_guess *guess,
                     kpirl_mpc_solution *solution) {
   kpirl_mpc_workspace *work = &mpc->work;
-  int i;
+  int i, failed;
   fill_arguments(mpc, numbers, guess);
-  call_solver(mpc);
+  failed = call_solver(mpc);
   memset(solution, 0, sizeof *solution);
   audit(mpc, numbers, solution);
   copy(solution->states, work->w, STATES);
@@ -188,11 +203,8 @@ void kpirl_mpc_plan(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpir
   for (i = 0; i < NS; ++i)
     if (kpirl_mpc_is_given(i)) solution->state_bounds[i] = 0;
   give_multipliers(work->of_rows, solution);
-  solution->iterations = -1; /* it does not say */
-  if (!kpirl_mpc_all_finite(work->w, NW) || !isfinite(solution->residual))
-    solution->status = KPIRL_MPC_NOT_FINITE;
-  else
-    solution->status = solution->residual <= mpc->settings.tolerance ? KPIRL_MPC_CONVERGED : KPIRL_MPC_FAILED;
+  solution->iterations = work->iterations;
+  solution->status = failed ? KPIRL_MPC_FAILED : end(mpc, solution);
 }
 
 kpirl_mpc_status kpirl_mpc_differentiate_plan(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers,
