@@ -48,6 +48,22 @@ def polynomial(factor=2.0, name="polynomial"):
 
 
 @needs_compiler
+@pytest.mark.parametrize("kind", ["linear", "bspline"])
+def test_a_look_up_table_is_compiled_beside_the_kernels_of_this_package(kind, cache):
+    """CasADi's code for tables has helpers whose names must not be those of our kernels."""
+    x, grid = ca.MX.sym("x", 3), np.linspace(-3, 3, 25)
+    table = ca.interpolant("table", kind, [grid], np.sin(grid))
+    y = table(ca.mtimes(ca.MX(ca.DM(np.eye(3) + 0.1)), x)[0])
+    function = ca.Function("looked_up", [x], [y, ca.gradient(y, x), ca.tanh(x)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        compiled = native.compiled(function)
+    assert compiled.class_name() == "External"
+    for found, expected in zip(compiled([0.3, -0.4, 1.0]), function([0.3, -0.4, 1.0]), strict=True):
+        np.testing.assert_allclose(np.array(found), np.array(expected), rtol=0, atol=1e-14)
+
+
+@needs_compiler
 def test_a_compiled_function_equals_the_virtual_machine(cache):
     function, rng = pendulum().problem.rollout.jacobian(), np.random.default_rng(0)
     compiled = native.compiled(function)

@@ -104,6 +104,12 @@ def test_fatrop_ends_within_its_time_limit(name):
     assert solver.solve(state(), [0.0, 0.0]).status is Status.CONVERGED  # and begins again
 
 
+def test_fatrop_answers_with_a_status_where_the_dynamics_leave_their_domain():
+    problem = state(dynamics=S + ca.sqrt(U), stage_cost=ca.sumsqr(S) + U)
+    guess = Trajectory(np.full((13, 2), 0.5), np.full((12, 1), 0.1))
+    assert not Fatrop(time_limit=3.0).solve(problem, [0.5, 0.5], guess=guess).status.ok
+
+
 def test_fatrop_in_this_process_takes_the_same_steps():
     here, there = (Fatrop(time_limit=limit).solve(state(action_bounds=(-1, 1)), [0.0, 0.0]) for limit in (None, 60.0))
     np.testing.assert_array_equal(here.states, there.states)

@@ -12,7 +12,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
 from stress.certificates.contest import count
 from stress.certificates.families import FAMILIES, draw
-from stress.certificates.verdicts import STEPS, Verdict, healthy, judge
+from stress.certificates.steps import is_smooth, steps_for
+from stress.certificates.verdicts import Verdict, healthy, judge, stated
 from stress.kills.campaign import torment
 from stress.kills.programs import PROGRAMS
 from stress.lives import memory
@@ -53,7 +54,22 @@ def test_a_gradient_of_steps_that_diverge_is_not_certified(index):
     """Rounding is enlarged with all else: 1e13 to 1e62 times. Differences at six steps agree with no such gradient."""
     case = draw(index)
     with pytest.raises(CertificateError, match="The steps diverge: they enlarge differences"):
-        Unrolled(STEPS, case.loss)(case.problem, case.demonstration, case.psi, case.guess)
+        Unrolled(steps_for(case), case.loss)(case.problem, case.demonstration, case.psi, case.guess)
+
+
+@pytest.mark.parametrize(("index", "smooth"), [(22, True), (202, False), (840, True), (20, False)])
+def test_what_steps_make_of_psi_is_smooth_or_not_by_its_values_alone(index, smooth):
+    """Smooth; with a kink; smooth, though rounding is enlarged; and steps that end far above where they began."""
+    case = draw(index)
+    assert is_smooth(case, steps_for(case)) is smooth
+
+
+def test_constraints_that_gradient_steps_do_not_honour_are_no_cases_for_them():
+    by_family = {case.family: case for case in map(draw, range(60))}
+    case = by_family["linear-quadratic with active constraints"]
+    assert not stated(case, "Unrolled")
+    assert stated(case, "Implicit")
+    assert stated(by_family["unconverged"], "Unrolled")
 
 
 @pytest.mark.parametrize("index", [7, 631])
@@ -68,7 +84,7 @@ def test_a_gradient_of_steps_that_end_on_a_kink_of_the_cost_is_not_certified(ind
     """The cost bends in an action: the slopes of the loss to both sides differ, or the steps go to and fro."""
     case = draw(index)
     with pytest.raises(CertificateError, match="The steps end on a kink or cross one"):
-        Unrolled(STEPS, case.loss)(case.problem, case.demonstration, case.psi, case.guess)
+        Unrolled(steps_for(case), case.loss)(case.problem, case.demonstration, case.psi, case.guess)
 
 
 def test_an_acceptable_solution_that_newton_steps_still_move_is_not_certified():
