@@ -25,6 +25,7 @@ from stress.statuses import confirmed
 
 from kpirl_ocp import FiniteDifference, Ipopt, Status, Unrolled
 from kpirl_ocp.errors import CertificateError
+from kpirl_ocp.ocp.codegen import compiler as native
 
 QUICK = PROFILES["quick"]
 
@@ -47,6 +48,15 @@ def test_differences_that_agree_are_not_certified_where_they_are_wrong(index):
 @pytest.mark.parametrize(("index", "verdict"), [(16, "RIGHTLY_FLAGGED"), (22, "RIGHT")])
 def test_gradients_of_gradient_steps_are_those_of_the_steps(index, verdict):
     assert judge(draw(index), "Unrolled") is Verdict[verdict]
+
+
+def test_most_healthy_gradients_of_steps_are_certified_and_none_that_is_wrong(monkeypatch):
+    monkeypatch.setattr(native, "compiler", lambda: None)  # for functions that are called a few times
+    counts, wrong = count(range(0, 80, 2), "Unrolled")
+    total = sum(counts.values(), Counter())
+    assert wrong == []
+    assert healthy(total) >= 0.95
+    assert min(total[verdict] for verdict in (Verdict.RIGHT, Verdict.RIGHTLY_FLAGGED)) >= 5
 
 
 @pytest.mark.parametrize("index", [94, 140, 198, 250])
