@@ -23,7 +23,6 @@ from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 _INPUT = -2  # KPIRL_MPC_ERROR_INPUT
-_CLOCK = ("time_limit", "now", "clock")
 # Where the parts of `Multipliers` stand in the C structures.
 _MULTIPLIERS = {
     "dynamics": "dynamics",
@@ -112,15 +111,8 @@ class ExportedSolver:
         first, more = self._guess(problem, guess)
         found = self.structures.gradients()
         addresses = (ctypes.c_void_p(address(slope)) for slope in slopes)
-        status = self._call(
-            "gradient",
-            self._controller,
-            ctypes.byref(given),
-            first,
-            ctypes.byref(plan),
-            *addresses,
-            ctypes.byref(found),
-        )
+        arguments = (ctypes.byref(given), first, ctypes.byref(plan), *addresses, ctypes.byref(found))
+        status = self._call("gradient", self._controller, *arguments)
         del kept, more
         lengths = {"psi": problem.n_parameters, "state": problem.n_states, "context": problem.n_context}
         parts = [np.array(getattr(found, name), float)[:length] for name, length in lengths.items()]
@@ -159,15 +151,15 @@ class ExportedSolver:
         self._call("set_settings", self._controller, ctypes.byref(current))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy in another process builds, or finds in the cache, the same folder, and takes over the settings.
-
-        Raises ProblemError under a time limit, whose clock is of this process.
-        """
+        """The folder and the settings. Raises ProblemError under a time limit, whose clock is of this process."""
         current = self._settings()
         if current.time_limit > 0:
             raise ProblemError("the clock of a time limit stays in its process: set time_limit=0 before pickling.")
-        kept = {name: getattr(current, name) for name in SETTINGS if name not in _CLOCK}
-        return _again, (self.folder, *self._build, kept)
+        kept = {name: getattr(current, name) for name in SETTINGS if name not in ("time_limit", "now", "clock")}
+        return ExportedSolver, (self.folder, *self._build), kept
+
+    def __setstate__(self, settings: Mapping[str, Any]) -> None:
+        self.set(**settings)
 
     @property
     def version(self) -> str:
@@ -286,12 +278,6 @@ class ExportedSolver:
             barrier=self._settings().barrier,
             message=f"{self._prefix}: {self._message(_INPUT)}",
         )
-
-
-def _again(folder: Path, flags: Sequence[str], compiler: str | None, settings: Mapping[str, Any]) -> ExportedSolver:
-    found = ExportedSolver(folder, flags, compiler)
-    found.set(**settings)
-    return found
 
 
 def _parts(problem: OCP, multipliers: Multipliers) -> dict[str, Array]:

@@ -79,7 +79,7 @@ def read(folder: Path) -> dict[str, Any]:
 
 
 def _entry(manifest: Any, name: str) -> Any:
-    """What stands under a name with dots; None where there is nothing."""
+    """The value under a name with dots; None where there is none."""
     for key in name.split("."):
         manifest = manifest.get(key) if isinstance(manifest, dict) else None
     return manifest

@@ -1,4 +1,4 @@
-"""What gradient steps make of psi: the loss after them as a function, whether it is smooth, and its slopes.
+"""The loss after gradient steps as a function of psi: whether it is smooth, and its slopes.
 
 All of it is measured by taking the steps again at other psi, without the package's derivatives and certificates.
 """
