@@ -166,7 +166,7 @@ def read_episode(path: Path, kind: type[E]) -> E:
 
 
 def check_episode(path: Path, episode: Any) -> None:
-    """Raise EpisodeError, naming file and key, for an array of another type or shape, or with NaN."""
+    """Raise EpisodeError, with file and key, for an array of another type or shape, NaN, or times that do not rise."""
     sizes: dict[str, int] = {}
     for entry in _entries(type(episode)):
         array, key, dtype = getattr(episode, entry.name), entry.metadata["key"], entry.metadata["dtype"]
@@ -178,6 +178,8 @@ def check_episode(path: Path, episode: Any) -> None:
             expected = ", ".join(map(str, entry.metadata["shape"]))
             known = ", ".join(f"{name} = {size}" for name, size in sizes.items())
             raise EpisodeError(f"{path}, {key}: expected the shape ({expected}) with {known}, got {array.shape}.")
+        if key == "timestamp" and not (np.diff(array) > 0).all():
+            raise EpisodeError(f"{path}, {key}: must rise from frame to frame.")
 
 
 def _fits(shape: tuple[int, ...], expected: tuple[int | str, ...], sizes: dict[str, int]) -> bool:

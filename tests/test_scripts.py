@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from exported import STRICT, built
@@ -112,6 +113,8 @@ COSTS = {  # what is changed in a learned cost.json, end of the sentence
     "horizon must be a whole number of at": {"horizon": 6.0},
     "expected a list of finite numbers, got [nan, 1]": {"psi": [float("nan"), 1]},
     "expected a list of finite numbers, got 3": {"psi": 3},
+    "rate must be a number of at least 0, got nan.": {"rate": float("nan")},
+    "kind must be one of gradient_descent, riccati, ipopt, got 'newton'.": {"solver": {"kind": "newton"}},
     "holds 1 numbers psi, and its cost has 9.": {"psi": [1.0]},
     "is for keypoints of panda, seen or held: use `kpirl learn-video --cost`.": {"arm": {"robot": "panda"}},
     "effort must be one number or one per step": {"effort": [1.0, 2.0]},
@@ -140,6 +143,44 @@ def test_episodes_for_testing_are_a_list_of_those_that_there_are(shown, inputs, 
     assert run(["evaluate", *words]) == 2
     expected = f"error: --demonstrations: 'test' in {tmp_path}/demos/meta.json must list some of the 3 episodes.\n"
     assert capsys.readouterr().err == expected
+
+
+def spoiled(directory, **changes):
+    """The second episode, with other arrays."""
+    with np.load(directory / "episode_001.npz") as file:
+        arrays = dict(file)
+    np.savez(directory / "episode_001.npz", **{key: changes.get(key, lambda x: x)(x) for key, x in arrays.items()})
+
+
+SPOILED = {  # arrays that are changed, sentence
+    "has 6 joints and 3 keypoints; the lbr_iiwa has 7 and 3.": {
+        "observation.state": lambda x: x[:, :6],
+        "action": lambda x: x[:, :6],
+    },
+    "has 7 joints and 1 keypoints; the lbr_iiwa has 7 and 3.": {"observation.keypoints": lambda x: x[:, :1]},
+    ", timestamp: must rise from frame to frame.": {"timestamp": lambda x: x[::-1]},
+    ", action: holds NaN or infinity.": {"action": lambda x: x * np.nan},
+}
+
+
+@pytest.mark.parametrize("command", ["evaluate --cost {cost}", "learn --train 2"])
+@pytest.mark.parametrize("sentence", SPOILED)
+def test_demonstrations_of_another_arm_or_time_are_refused(sentence, command, inputs, tmp_path, capsys):
+    shutil.copytree(inputs["demos"], tmp_path / "demos")
+    spoiled(tmp_path / "demos", **SPOILED[sentence])
+    words = [*command.format(**inputs).split(), "--demonstrations", str(tmp_path / "demos"), "--out", str(tmp_path)]
+    assert run(words) == 2
+    space = "" if sentence.startswith(",") else " "
+    expected = f"error: --demonstrations: {tmp_path}/demos/episode_001.npz{space}{sentence}\n"
+    assert capsys.readouterr().err == expected
+
+
+def test_a_cost_for_other_steps_than_demonstrated_is_refused(inputs, tmp_path, capsys):
+    content = json.loads(inputs["cost"].read_text())
+    (tmp_path / "cost.json").write_text(json.dumps(content | {"horizon": 3}))
+    words = ["--cost", str(tmp_path / "cost.json"), "--demonstrations", str(inputs["demos"]), "--out", str(tmp_path)]
+    assert run(["evaluate", *words]) == 2
+    assert capsys.readouterr().err.startswith(f"error: --cost, --demonstrations: {tmp_path}/cost.json plans 3 steps, ")
 
 
 HELP_OF = {"collect_data.py": ["keypoints"]}  # a subcommand has the options

@@ -9,10 +9,9 @@ import numpy as np
 
 from kpirl_ocp import figures
 from kpirl_ocp.cli.sentences import of_option
-from kpirl_ocp.episodes import Episode, read_episodes
-from kpirl_ocp.errors import FileError, OptionError, ProblemError
+from kpirl_ocp.errors import FileError, OptionError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
-from kpirl_ocp.irl.cases.tasks import as_demonstration
+from kpirl_ocp.irl.cases.tasks import as_demonstration, read_demonstrations
 from kpirl_ocp.irl.learning.evaluation import evaluate
 from kpirl_ocp.ocp.models import Default, KeypointCost, Robot
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
@@ -39,9 +38,12 @@ def main(args: Namespace) -> None:
     robot = Robot.iiwa()
     learned = cost_of_the_iiwa(args.cost, robot)
     with of_option("--demonstrations"):
-        episodes, meta = read_episodes(args.demonstrations, Episode)
+        episodes, meta = read_demonstrations(robot, args.demonstrations)
     if any(episode.horizon != learned.horizon for episode in episodes):
-        raise ProblemError(f"{args.cost} plans {learned.horizon} steps; {args.demonstrations} has other lengths.")
+        raise OptionError(
+            f"--cost, --demonstrations: {args.cost} plans {learned.horizon} steps, {args.demonstrations} "
+            "has other lengths"
+        )
     shown = meta.get("test", list(range(len(episodes))))
     if not isinstance(shown, list) or not shown or not all(i in range(len(episodes)) for i in shown):
         place = f"--demonstrations: 'test' in {args.demonstrations}/meta.json"

@@ -11,10 +11,10 @@ import numpy as np
 from kpirl_ocp import figures
 from kpirl_ocp.cli.options.learn import TASKS
 from kpirl_ocp.cli.sentences import of_option
-from kpirl_ocp.episodes import Episode, read_episodes
-from kpirl_ocp.errors import OptionError, ProblemError
+from kpirl_ocp.episodes import Episode
+from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost, make_basis
-from kpirl_ocp.irl.cases.tasks import HORIZON, as_demonstration, demonstrate
+from kpirl_ocp.irl.cases.tasks import HORIZON, as_demonstration, demonstrate, read_demonstrations
 from kpirl_ocp.irl.hypergradients.implicit import Implicit
 from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
 from kpirl_ocp.irl.learning.evaluation import Evaluation, evaluate
@@ -39,11 +39,11 @@ def load(args: Namespace, robot: Robot) -> list[Episode]:
     if args.demonstrations is None:
         return demonstrate(robot, args.task or TASKS[0], args.train + 5, args.seed, HORIZON)
     with of_option("--demonstrations"):
-        episodes, _ = read_episodes(args.demonstrations, Episode)
+        episodes, _ = read_demonstrations(robot, args.demonstrations)
     if len(episodes) <= args.train or len({episode.horizon for episode in episodes}) > 1:
-        raise ProblemError(
-            f"{args.demonstrations} holds {len(episodes)} episodes; it takes {args.train} for training "
-            "and at least one for testing, all of one length."
+        raise OptionError(
+            f"--demonstrations: {args.demonstrations} holds {len(episodes)} episodes; it takes {args.train} for "
+            "training and at least one for testing, all of one length"
         )
     return episodes
 

@@ -16,7 +16,7 @@ from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state
 from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Keypoint, Robot
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.statement.checks import horizon_of, shown
+from kpirl_ocp.ocp.problem.statement.checks import horizon_of, number, shown
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 from kpirl_ocp.ocp.solvers.riccati import Riccati
@@ -127,6 +127,8 @@ class LearnedCost:
         """
         try:
             content = read_json(path)
+            if not isinstance(content, dict):
+                raise FileError(f"{path} is not a learned cost: it must hold an object.")
             if content.get("kind") == VISUAL:
                 raise FileError(
                     f"{path} is a cost over detected keypoints: plan with it, and export it, by\n"
@@ -146,7 +148,7 @@ class LearnedCost:
                 setting=_setting_of_json(content.get("arm", {})),
                 start=_numbers(content.get("start", ())),
                 displacement=_numbers(content.get("displacement", ())),
-                rate=float(content.get("rate", 0.0)),
+                rate=number("rate", content.get("rate", 0.0), "a number of at least 0", np.nextafter(0, -1)),
             )
         except FileNotFoundError:
             raise FileError(f"{path} does not exist: learn a cost with `kpirl learn`.") from None
@@ -177,7 +179,7 @@ def solver_as_json(solver: GradientDescent | Riccati | Ipopt) -> dict[str, Any]:
 
 
 def solver_of_json(content: dict[str, Any]) -> GradientDescent | Riccati | Ipopt:
-    """The solver of `solver_as_json`. Raises KeyError or TypeError if the content is of something else."""
+    """The solver of `solver_as_json`. Raises KeyError, TypeError or ValueError if the content is of something else."""
     solver: GradientDescent | Riccati | Ipopt = _build(SOLVERS, content)
     return solver
 
@@ -214,4 +216,7 @@ def _name_of(kinds: dict[str, type], value: object) -> dict[str, object]:
 
 def _build(kinds: dict[str, type], content: dict[str, object]):  # type: ignore[no-untyped-def]
     arguments = dict(content)
-    return kinds[str(arguments.pop("kind"))](**arguments)
+    kind = str(arguments.pop("kind"))
+    if kind not in kinds:
+        raise ValueError(f"kind must be one of {', '.join(kinds)}, got {kind!r}")
+    return kinds[kind](**arguments)

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.episodes import Episode, write_episodes
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.episodes import Episode, episode_path, read_episodes, write_episodes
+from kpirl_ocp.errors import EpisodeError, ProblemError
 from kpirl_ocp.motion import forward_then_down, minimum_jerk
 from kpirl_ocp.ocp.models.keypoint_problems import keypoint_state, visible_keypoints
 from kpirl_ocp.ocp.models.pinhole import Pinhole
@@ -116,6 +117,23 @@ def _track(robot: Robot, tracker: OCP, start: Array, displacement: Array) -> Epi
     if np.abs(keypoints - reference).max() > _TRACKING_TOLERANCE:
         return None
     return Episode(solution.states, keypoints, solution.actions, np.arange(len(reference)) / FPS)
+
+
+def read_demonstrations(robot: Robot, directory: Path) -> tuple[list[Episode], dict[str, Any]]:
+    """Episodes and meta data of a directory.
+
+    Raises EpisodeError, naming the file, if anything is amiss or belongs to an arm with other joints or keypoints.
+    """
+    episodes, meta = read_episodes(directory, Episode)
+    expected = robot.n_joints, robot.n_keypoints
+    for index, episode in enumerate(episodes):
+        found = episode.joints.shape[1], episode.keypoints.shape[1]
+        if found != expected:
+            raise EpisodeError(
+                f"{episode_path(directory, index)} has {found[0]} joints and {found[1]} keypoints; "
+                f"the {robot.model.name} has {expected[0]} and {expected[1]}."
+            )
+    return episodes, meta
 
 
 def as_demonstration(robot: Robot, episode: Episode, unit: float = 1.0) -> Demonstration:
