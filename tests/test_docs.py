@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+import kpirl_ocp
+import kpirl_ocp.errors
+
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(path for path in (ROOT / "docs").rglob("*.md"))
 CODE = {
@@ -91,6 +94,13 @@ def test_links_and_pictures_of_a_page_are_there(path):
         r"\]\(([^)#\s]+)(?:#[^)]*)?\)", re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)
     ):
         assert target.startswith("https://") or (path.parent / target).exists(), target
+
+
+def test_every_name_of_the_package_is_in_the_reference():
+    reference = "".join(page.read_text() for page in (ROOT / "docs" / "reference").glob("*.md"))
+    described = re.findall(r"^::: kpirl_ocp\.[\w.]*?(\w+)$", reference, re.MULTILINE)
+    errors = [name for name, value in vars(kpirl_ocp.errors).items() if isinstance(value, type)]
+    assert set(kpirl_ocp.__all__) - {"__version__"} <= {*described, *errors}
 
 
 def test_every_page_is_in_the_navigation():
