@@ -115,6 +115,24 @@ def test_dense_products_equal_numpy_whatever_the_tiles(cache, shape):
 
 
 @needs_compiler
+@pytest.mark.parametrize("rows", [1, 2, 3, 4, 7, 8, 9, 16, 29, 31, 33, 65, 100])
+def test_ordered_products_and_tanh_equal_the_virtual_machine_to_the_last_bit(tmp_path, rows):
+    x, y, z = (ca.MX.sym(name, *size) for name, size in [("x", (rows, 23)), ("y", (23, 11)), ("z", (rows, 11))])
+    products = [ca.mac(x, y[:, :n], z[:, :n]) for n in range(1, 12)] + [ca.mtimes(x.T, z), ca.tanh(x @ y)]
+    function = ca.Function("products", [x, y, z], products)
+    generator = ca.CodeGenerator("products.c")
+    generator.add(function)
+    flags, rewrite = machine_code.ORDERED
+    code, library = tmp_path / "products.c", tmp_path / "products.so"
+    code.write_text(rewrite(generator.dump()))
+    native.link(native.find_compiler(), flags, [code], library)
+    rng = np.random.default_rng(0)
+    numbers = [rng.normal(size=a.shape) for a in (x, y, z)]
+    for found, expected in zip(ca.external("products", str(library))(*numbers), function(*numbers), strict=True):
+        np.testing.assert_array_equal(np.array(found), np.array(expected))
+
+
+@needs_compiler
 def test_a_dense_product_lets_nan_and_infinity_through_in_their_own_entries(cache):
     x = ca.MX.sym("x", 20, 20)
     compiled = native.compiled(ca.Function("product", [x], [x @ ca.DM.eye(20), x @ ca.DM.ones(20, 3)]))
@@ -331,7 +349,7 @@ def test_threads_that_find_a_damaged_library_together_get_a_new_one(cache, monke
     monkeypatch.setattr(
         machine_code, "_there", lambda library: [time.sleep(0.05), there(library)][1]
     )  # others look now
-    first = machine_code.MachineCode([polynomial()], kernels=False)
+    first = machine_code.MachineCode([polynomial()], machine_code.STRAIGHT)
     first.wait()
     (library,) = cache.iterdir()
     content = library.read_bytes()
@@ -339,7 +357,7 @@ def test_threads_that_find_a_damaged_library_together_get_a_new_one(cache, monke
         library.unlink(missing_ok=True)
         library.write_bytes(DAMAGE["not sealed"](content))
         library.chmod(0o700)
-        code = machine_code.MachineCode([polynomial()], kernels=False)
+        code = machine_code.MachineCode([polynomial()], machine_code.STRAIGHT)
 
         def look(code=code):
             code.begin()

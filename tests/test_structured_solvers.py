@@ -202,7 +202,7 @@ def test_swing_up_is_found_from_rest_by_a_step_that_needs_regularisation():
 
 
 @pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")
-@pytest.mark.parametrize("name", ["lqr", "integrator", "pendulum", "swing-up"])
+@pytest.mark.parametrize("name", ["lqr", "integrator", "pendulum", "swing-up", "tanh network"])
 def test_machine_code_gives_the_numbers_of_the_virtual_machine_to_the_last_bit(name):
     numbers = given(name)
     for solver in (Riccati(), Riccati(barrier=1e-3), Riccati(steps=1, barrier=1e-3)):
@@ -213,9 +213,10 @@ def test_machine_code_gives_the_numbers_of_the_virtual_machine_to_the_last_bit(n
 
 
 @pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")
-def test_problem_that_is_solved_often_is_compiled_in_the_background(monkeypatch):
+@pytest.mark.parametrize("name", ["integrator", "tanh network"])
+def test_problem_that_is_solved_often_is_compiled_in_the_background(name, monkeypatch):
     monkeypatch.setattr("kpirl_ocp.ocp.interior_point.machine_code._OFTEN", 0)
-    numbers = given("integrator")
+    numbers = given(name)
     problem = replace(numbers[0])  # one that nobody has solved
     results = [Riccati().solve(problem, *numbers[1:]) for _ in range(2)]
     code = machine_code(problem)

@@ -1,17 +1,18 @@
 """Dense products and tanh in generated C, written so that a compiler turns them into vector instructions.
 
 CasADi's own `casadi_mtimes_dense`, z += x y, runs along rows and cannot be vectorised. This one keeps a tile of z, some
-vectors of rows times up to five columns, in registers while it walks along the columns of x. Results differ by
-rounding alone; NaN and infinity go through as in any sum. So they do in tanh, which is right to two units in the last
-place.
+vectors of rows times up to five columns, in registers while it walks along the columns of x. An entry of z sums its
+products in the order of CasADi's virtual machine, so that the results are equal to the last bit, unless several partial
+sums are asked for, which hide the latency of low tiles. Then results differ by rounding alone; NaN and infinity go
+through as in any sum. So they do in tanh, which is right to two units in the last place.
 """
 
 from __future__ import annotations
 
-import inspect
 import re
 
-import kpirl_ocp.ocp.codegen.copy_elision as copy_elision
+from kpirl_ocp.ocp.codegen.array_kernels import COPY, LARGEST, LEAST, TANH
+from kpirl_ocp.ocp.codegen.copy_elision import with_fewer_copies
 
 _KERNEL = r"""
 #if defined(__AVX512F__)
@@ -65,10 +66,16 @@ static inline __attribute__((always_inline)) void kernel_panel(const int columns
   for (t = 0; t < tiles; ++t) {
     casadi_int height = vectors * (t + 1) / tiles - vectors * t / tiles;
     casadi_int end = t < tiles - 1 ? first + height * TILE_LANES : nrow_x;
+#ifdef KERNEL_IN_ORDER
+#define CHAINS(h) 1
+#else
+#define CHAINS(h) (columns > 1 ? 1 : h > 4 ? 1 : h > 2 ? 2 : 4)
+#endif
 #define TILE(h) if (h <= most && height == h) \
-      kernel_tile(h, columns, columns > 1 ? 1 : h > 4 ? 1 : h > 2 ? 2 : 4, x, nrow_x, ncol_x, y, start, z, first, end);
+      kernel_tile(h, columns, CHAINS(h), x, nrow_x, ncol_x, y, start, z, first, end);
     TILE(1) TILE(2) TILE(3) TILE(4) TILE(5) TILE(6) TILE(7) TILE(8)
 #undef TILE
+#undef CHAINS
     first = end;
   }
 }
@@ -154,15 +161,19 @@ static void kernel_mtimes_from(const casadi_real* x, casadi_int nrow_x, casadi_i
     return;
   }
   for (j = 0; j < nrow_x * ncol_y; ++j) z[j] = start ? start[j] : 0;
+#ifndef KERNEL_IN_ORDER
   if (nrow_x == 1) {
     kernel_row(x, ncol_x, y, ncol_y, z);
-  } else if (nrow_x >= HALF_LANES) {
-    kernel_low(x, nrow_x, ncol_x, y, ncol_y, z);
-  } else {
-    for (; i < ncol_y; ++i)
-      for (k = 0; k < ncol_x; ++k)
-        for (j = 0; j < nrow_x; ++j) z[j + i * nrow_x] += x[j + k * nrow_x] * y[k + i * ncol_x];
+    return;
   }
+  if (nrow_x >= HALF_LANES) {
+    kernel_low(x, nrow_x, ncol_x, y, ncol_y, z);
+    return;
+  }
+#endif
+  for (; i < ncol_y; ++i)
+    for (k = 0; k < ncol_x; ++k)
+      for (j = 0; j < nrow_x; ++j) z[j + i * nrow_x] += x[j + k * nrow_x] * y[k + i * ncol_x];
 }
 
 static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
@@ -178,90 +189,14 @@ static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_
 }
 """
 
-_COPY = r"""#include <string.h>
-static inline void casadi_copy(const casadi_real* x, casadi_int n, casadi_real* y) {
-  if (!y) return;
-  if (x) memmove(y, x, n * sizeof(casadi_real)); else memset(y, 0, n * sizeof(casadi_real));
-}
-"""
-
-_TANH = r"""#include <math.h>
-#include <string.h>
-typedef double wide __attribute__((vector_size(32)));
-typedef long long wide_bits __attribute__((vector_size(32)));
-
-/* tanh x = e / (e + 2) with e = exp(2 |x|) - 1 = 2^n (exp(r) - 1) + (2^n - 1), |r| <= log(2) / 2, by Taylor's series;
-   beyond 22 it is 1 to the last place. Comparisons with NaN are false, so that NaN stays. */
-static inline wide kernel_tanh4(wide x) {
-  const wide zero = {0}, round = zero + 0x1.8p52;
-  const wide_bits sign = (wide_bits) x & ((wide_bits) {0} + (-0x7fffffffffffffffLL - 1));
-  wide a = (wide) ((wide_bits) x ^ sign), n, r, p, power, e;
-  const wide_bits far = a > 22.0;
-  a = 2 * (wide) ((far & (wide_bits) (zero + 22.0)) | (~far & (wide_bits) a));
-  n = a * 0x1.71547652b82fep+0 + round;
-  power = (wide) (((wide_bits) n + 1023) << 52);
-  n -= round;
-  r = a - n * 6.93147180369123816490e-01 - n * 1.90821492927058770002e-10; /* the first product is exact */
-  p = r * (1 / 6227020800.0) + 1 / 479001600.0;
-  p = p * r + 1 / 39916800.0;
-  p = p * r + 1 / 3628800.0;
-  p = p * r + 1 / 362880.0;
-  p = p * r + 1 / 40320.0;
-  p = p * r + 1 / 5040.0;
-  p = p * r + 1 / 720.0;
-  p = p * r + 1 / 120.0;
-  p = p * r + 1 / 24.0;
-  p = p * r + 1 / 6.0;
-  p = p * r + 0.5;
-  p = p * r * r + r;
-  e = power * p + (power - 1);
-  return (wide) ((wide_bits) (e / (e + 2)) | sign);
-}
-
-static void kernel_tanh(const casadi_real* x, casadi_int n, casadi_real* y) {
-  wide some;
-  for (; n >= 4; n -= 4, x += 4, y += 4) {
-    memcpy(&some, x, 32);
-    some = kernel_tanh4(some);
-    memcpy(y, &some, 32);
-  }
-  if (n > 0) {
-    some = (wide) {0};
-    memcpy(&some, x, n * sizeof(casadi_real));
-    some = kernel_tanh4(some);
-    memcpy(y, &some, n * sizeof(casadi_real));
-  }
-}
-
-"""
-
-# The least and the largest of an array; as with fmin and fmax, NaN does not count.
-_EXTREME = r"""static casadi_real casadi_vf@name@(const casadi_real* x, casadi_int n, casadi_real r) {
-  casadi_real some[32];
-  casadi_int i = 0;
-  int j, half;
-  for (j = 0; j < 32; ++j) some[j] = r;
-  for (; i + 32 <= n; i += 32)
-    for (j = 0; j < 32; ++j) some[j] = x[i + j] @than@ some[j] ? x[i + j] : some[j];
-  for (half = 16; half > 0; half /= 2)
-    for (j = 0; j < half; ++j) some[j] = some[j + half] @than@ some[j] ? some[j + half] : some[j];
-  for (r = some[0]; i < n; ++i) r = x[i] @than@ r ? x[i] : r;
-  return r;
-}
-"""
-_LEAST, _LARGEST = (
-    _EXTREME.replace("@name@", name).replace("@than@", than) for name, than in (("min", "<"), ("max", ">"))
-)
-
-SOURCES = _KERNEL + _COPY + _LEAST + _LARGEST + _TANH + inspect.getsource(copy_elision)
-"""All text on which the result of `with_fast_kernels` depends; for the key of a cache."""
 _BODIES = {
     "void casadi_mtimes_dense": _KERNEL.lstrip(),
-    "void casadi_copy": _COPY,
-    "casadi_real casadi_vfmin": _LEAST,
-    "casadi_real casadi_vfmax": _LARGEST,
+    "void casadi_copy": COPY,
+    "casadi_real casadi_vfmin": LEAST,
+    "casadi_real casadi_vfmax": LARGEST,
 }
 _TANH_LOOP = re.compile(r"for \(i=0, rr=([^,]+), cs=([^;]+); i<(\d+); \+\+i\) \*rr\+\+ = tanh\( ?\*cs\+\+ ?\);")
+_REALS = re.compile(r"#define casadi_int .*\n(#endif\n)?")  # what the kernels need stands before
 
 
 def with_fast_kernels(source: str) -> str:
@@ -269,15 +204,26 @@ def with_fast_kernels(source: str) -> str:
 
     Nothing is added for functions that it does not contain.
     """
+    source, found = _TANH_LOOP.subn(r"kernel_tanh(\2, \3, \1);", _with_products(source))
+    return _begin_with(TANH, source) if found else source
+
+
+def with_ordered_kernels(source: str) -> str:
+    """The same with results equal to those of CasADi's virtual machine to the last bit, if nothing is contracted."""
+    return _begin_with("#define KERNEL_IN_ORDER\n", _with_products(source))
+
+
+def _with_products(source: str) -> str:
     for name, body in _BODIES.items():
         start = source.find(f"{name}(")
         if start >= 0:
             end = source.index("\n}\n", start) + len("\n}\n")
             source = source[:start] + body + source[end:]
-    source = copy_elision.with_fewer_copies(source)
-    source, found = _TANH_LOOP.subn(r"kernel_tanh(\2, \3, \1);", source)
-    if found:
-        at = re.search(r"#define casadi_int .*\n(#endif\n)?", source)
-        assert at, "generated C defines casadi_int"
-        source = source[: at.end()] + _TANH + source[at.end() :]
-    return source
+    return with_fewer_copies(source)
+
+
+def _begin_with(text: str, source: str) -> str:
+    """Generated C with a text behind its types."""
+    at = _REALS.search(source)
+    assert at, "generated C defines casadi_int"
+    return source[: at.end()] + text + source[at.end() :]

@@ -1,10 +1,9 @@
 """Machine code of a problem's functions: when it is made, and where it comes from.
 
-Stage functions are straight-line code: CasADi's virtual machine evaluates them without a compiler, machine code several
-times faster, equal to the last bit, since neither contracts nor reorders operations. So a solve need not know which of
-them it runs on, and a compiler may work in the background: it starts once a problem has been evaluated often enough to
-show that it will be used. Functions of the whole horizon (networks) get fast kernels that round differently, so they
-are compiled before the first solve, or never.
+CasADi's virtual machine evaluates functions without a compiler, machine code several times faster, equal to the last
+bit, since neither contracts nor reorders operations. So a solve need not know which of them it runs on, and a compiler
+may work in the background: it starts once a problem has been evaluated often enough to show that it will be used.
+Large networks get faster kernels that round differently, so they are compiled before the first solve, or never.
 """
 
 from __future__ import annotations
@@ -16,15 +15,16 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import casadi as ca
 
 from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.ocp.codegen import compiler
+from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels, with_ordered_kernels
 from kpirl_ocp.ocp.codegen.library_cache import place, sound
 from kpirl_ocp.ocp.codegen.numpy_calls import Build, worth_compiling
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
@@ -33,8 +33,18 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 
 Compile = bool | Literal["auto"]
 
+
+class Recipe(NamedTuple):
+    """A way from generated C to machine code: flags of the compiler, and a rewriting of the source."""
+
+    flags: Sequence[str]
+    rewrite: Callable[[str], str]
+
+
 # -O1 gives nearly all of -O2 for straight-line code, in a tenth of the time.
-FLAGS = ("-O1", "-ffp-contract=off", "-fno-math-errno", "-Wno-int-conversion", "-fPIC", "-shared")
+STRAIGHT = Recipe(("-O1", "-ffp-contract=off", "-fno-math-errno", "-Wno-int-conversion", "-fPIC", "-shared"), str)
+ORDERED = Recipe((*compiler.FLAGS, "-ffp-contract=off"), with_ordered_kernels)
+FAST = Recipe(compiler.FLAGS, with_fast_kernels)
 _OFTEN = 20_000  # evaluations of a stage after which a compiler is worth starting
 _LONG = 3_000  # operations whose compilation takes about a second
 
@@ -42,9 +52,8 @@ _LONG = 3_000  # operations whose compilation takes about a second
 class MachineCode:
     """The functions of one problem as a shared library, once there is one. Shared by all threads."""
 
-    def __init__(self, functions: Sequence[ca.Function], kernels: bool) -> None:
-        """kernels: whether products and tanh of matrices are replaced by fast ones."""
-        self._functions, self._kernels = list(functions), kernels
+    def __init__(self, functions: Sequence[ca.Function], recipe: Recipe) -> None:
+        self._functions, self._recipe = list(functions), recipe
         self._path: Path | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._addresses: dict[str, int] | None = None
@@ -81,8 +90,7 @@ class MachineCode:
         if command is None:
             self._given_up = True
             return
-        flags = compiler.FLAGS if self._kernels else FLAGS
-        source = self._source()
+        flags, source = self._recipe.flags, self._source()
         try:
             path = place("stages", "\0".join([source, command, compiler.identity(command), *flags]))
         except (OSError, CompilerError) as error:
@@ -112,8 +120,7 @@ class MachineCode:
         generator = ca.CodeGenerator("stages.c")
         for function in self._functions:
             generator.add(function)
-        source: str = generator.dump()
-        return compiler.with_fast_kernels(source) if self._kernels else source
+        return self._recipe.rewrite(generator.dump())
 
 
 def _there(library: Path) -> bool:
@@ -154,15 +161,15 @@ def _address(library: ctypes.CDLL, name: str) -> int:
 def machine_code(problem: OCP) -> MachineCode:
     """That of a problem's stage functions, or of its functions of the whole horizon."""
     if problem.derivatives is None:
-        return MachineCode(stage_functions(problem).all, kernels=False)
+        return MachineCode(stage_functions(problem).all, STRAIGHT)
     functions = horizon_functions(problem)
-    return MachineCode([*functions.horizon, functions.dynamics], kernels=True)
+    return MachineCode([*functions.horizon, functions.dynamics], FAST if worth_compiling(problem) else ORDERED)
 
 
 @lru_cache(maxsize=256)
 def _machine_code_of(problem: OCP, build: Build) -> MachineCode:
     """That of a function of the problem on its own."""
-    return MachineCode([build(problem)], kernels=False)
+    return MachineCode([build(problem)], STRAIGHT if problem.derivatives is None else ORDERED)
 
 
 def _forget() -> None:
@@ -200,6 +207,6 @@ def prepare(problem: OCP, wish: Compile, evaluations: int) -> dict[str, int] | N
     code = machine_code(problem)
     if wish is True or (problem.derivatives is not None and worth_compiling(problem)):
         code.wait()
-    elif problem.derivatives is None and evaluations > _OFTEN:
+    elif evaluations > _OFTEN:
         code.begin()
     return code.addresses()

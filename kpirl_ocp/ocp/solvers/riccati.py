@@ -40,8 +40,8 @@ class Riccati:
     steps: take exactly this many Newton steps without line search, from a warm start: the real-time iteration
         (Diehl et al., 2005). None iterates until convergence.
     compile: machine code for the problem's functions: True waits for it, False does without, and "auto" has it made in
-        the background once a problem is solved often. Stage functions give the same numbers either way, to the last
-        bit; functions of networks over the whole horizon are compiled before their first solve under "auto".
+        the background once a problem is solved often. The numbers are the same either way, to the last bit; only large
+        networks, with T (n_s + n_u)^2 > 15000, round differently, and are compiled before their first solve.
     verbose: print a line per iteration to the standard error output.
     """
 
