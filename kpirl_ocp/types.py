@@ -24,7 +24,7 @@ def max_or_nan(*numbers: float) -> float:
 
 def largest(values: Array) -> float:
     """Largest absolute value, 0 for an empty array, NaN if there is one."""
-    return float(np.max(np.abs(values), initial=0.0))
+    return float(np.abs(values).max(initial=0.0))
 
 
 def floats(name: str, value: ArrayLike) -> Array:
@@ -165,11 +165,6 @@ class Multipliers(Brief):
         for name, value in vars(self).items():
             none = value is None and name in shapes
             object.__setattr__(self, name, np.zeros(shapes[name]) if none else floats(f"multipliers.{name}", value))
-
-    @classmethod
-    def of_given_start(cls, dynamics: Array, state: Array, action: Array, path: Array) -> Multipliers:
-        """Of a problem with given s_0, bounds and path constraints alone; state (T, n_s) from s_1 on."""
-        return cls(dynamics, np.vstack([np.zeros((1, state.shape[1])), state]), action, path)
 
 
 @dataclass(frozen=True)

@@ -53,8 +53,8 @@ def ours(data: NetworkCase) -> Evaluation:
 
     def evaluate() -> tuple[float, Array]:
         results = method.batch(data.problem, data.demonstrations, psi)
-        gradient = np.mean([result.gradient for result in results], axis=0)
-        return float(np.mean([result.loss for result in results])), gradient.reshape(data.psi.shape)
+        loss, gradient = (sum(x[i] for x in results) / len(results) for i in (0, 1))
+        return loss, gradient.reshape(data.psi.shape)
 
     return evaluate
 

@@ -92,10 +92,11 @@ class Core:
             self._code = code
             self._model = self._make_model()
             self._library.kpirl_mpc_core_set_model(self._core, ctypes.addressof(self._model))
-        kept = [[np.require(array, float, ("C", "A")) for array in each] for *each, _ in given]
+        kept = [[np.ascontiguousarray(array, float) for array in each] for *each, _ in given]
         begun = [[np.require(array, float, ("C", "A")) for array in self._start(guess)] for *_, guess in given]
         found = [self._results.empty() for _ in given]
-        numbers = _array(c.Numbers, [(*map(c.address_of, each), c.address_of(self._schedule)) for each in kept])
+        schedule = c.address_of(self._schedule)
+        numbers = _array(c.Numbers, [(*map(c.address_of, each), schedule) for each in kept])
         starts = _array(c.Start, [tuple(map(c.address_of, start)) for start in begun])
         results = _array(c.Result, [self._results.places(values) for values in found])
         arrays = map(ctypes.addressof, (numbers, options, starts, results))

@@ -16,6 +16,7 @@ from kpirl_ocp.types import Array
 
 POINTER, INT, REAL = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
 FIRST, SECOND = 1, 2  # levels of derivatives
+_NOTHING = np.zeros(1)  # in place of empty arrays: NULL stands for what is not given
 
 
 def _structure(name: str, **fields: object) -> type[ctypes.Structure]:
@@ -239,10 +240,10 @@ def read(address: int, size: int) -> Array:
 
 
 def address_of(array: NDArray[Any]) -> int:
-    """Of the first number of an array; a quarter of the time that `array.ctypes.data` takes."""
+    """Of the first number of an array; a quarter of the time that `array.ctypes.data` takes. Empty ones share one."""
     try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
-    except (TypeError, ValueError, BufferError):  # read only, empty, or not contiguous
+        return ctypes.addressof(ctypes.c_char.from_buffer(array if array.size else _NOTHING))  # type: ignore[arg-type]
+    except (TypeError, ValueError, BufferError):  # read only, or not contiguous
         return int(array.ctypes.data)
 
 

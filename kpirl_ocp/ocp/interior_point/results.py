@@ -34,7 +34,7 @@ class Results:
         """n_w: length of x."""
         T = problem.horizon
         rows = T * problem.n_path + problem.n_terminal, T * problem.n_path_equality + problem.n_terminal_equality
-        self._problem = problem
+        self._problem, self._given = problem, np.flatnonzero(~problem.free_start)
         self._ends = list(accumulate((0, n_w, T * problem.n_states, n_w, *rows)))
 
     def empty(self) -> Array:
@@ -67,7 +67,7 @@ class Results:
         problem = self._problem
         T, n_s, n_h, n_e = problem.horizon, problem.n_states, problem.n_path, problem.n_path_equality
         state, action = split(bounds, T, n_s, problem.n_actions)
-        state[0, ~problem.free_start] = 0
+        state[0, self._given] = 0
         return Multipliers(
             dynamics=costates.reshape(T, n_s),
             state=state,

@@ -160,12 +160,7 @@ def audited(
     pushing = _bound_multipliers(problem, trajectory.actions, slope)
     scale = max_or_nan(1.0, largest(slope), largest(costates))
     residuals = KKTResiduals(largest(slope + pushing), 0.0, 0.0, 0.0, scale)
-    multipliers = Multipliers.of_given_start(
-        dynamics=costates,
-        state=np.zeros((steps, n_s)),
-        action=pushing,
-        path=np.zeros((steps, 0)),
-    )
+    multipliers = Multipliers(costates, np.zeros((steps + 1, n_s)), pushing, np.zeros((steps, 0)))
     status = _status(trajectory, initial_cost, objective, residuals.worst, solver.tolerance)
     return Solution(trajectory, multipliers, objective, residuals, status, solver.steps, psi, context)
 

@@ -62,7 +62,8 @@ def solve_many(
     count = next(iter(counts.values()), 1)
     columns = [np.broadcast_to(array, (count, array.shape[-1])) for array in arrays.values()]
     rows = list(zip(*columns, guesses or [None] * count, strict=True))
-    return in_groups(partial(_solve_each, problem, solver), rows, threads)
+    each = solver.solve_each if isinstance(solver, BatchSolver) else partial(_one_by_one, solver)
+    return in_groups(partial(each, problem), rows, threads)
 
 
 def pull_many(
@@ -101,10 +102,8 @@ def pull_many(
     return in_groups(partial(pull_each, problem, policy=policy), rows, threads)
 
 
-def _solve_each(problem: OCP, solver: Solver, rows: Sequence[Given]) -> list[Solution]:
-    if not isinstance(solver, BatchSolver):
-        return [solver.solve(problem, *row) for row in rows]
-    return solver.solve_each(problem, [(*problem.inputs(*numbers), guess) for *numbers, guess in rows])
+def _one_by_one(solver: Solver, problem: OCP, rows: Sequence[Given]) -> list[Solution]:
+    return [solver.solve(problem, *row) for row in rows]
 
 
 def in_groups(function: Callable[[Sequence[Q]], list[R]], given: Sequence[Q], threads: int | None) -> list[R]:
@@ -130,7 +129,7 @@ def side_by_side(function: Callable[..., R], *columns: Iterable[Any], threads: i
 def _rows(name: str, value: ArrayLike, length: int) -> Array:
     """(length,) or (B, length)."""
     try:
-        array = np.asarray(value, float)
+        array = np.require(value, float, "A")
     except (TypeError, ValueError):
         array = np.zeros((0, 0, 0))
     if array.ndim not in (1, 2) or array.shape[-1] != length:
