@@ -10,7 +10,17 @@ import pytest
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.activations import ACTIVATIONS
 from kpirl_ocp.ocp.models.keypoint_dynamics import LinearisedNetwork, NetworkDynamics
-from kpirl_ocp.ocp.models.mlp import MLP, clearance, flatten_slopes, jacobian, jvp, unflatten_slopes, vjp, vjp_tangent
+from kpirl_ocp.ocp.models.mlp import (
+    MLP,
+    clearance,
+    flatten_slopes,
+    jacobian,
+    jvp,
+    kinked,
+    unflatten_slopes,
+    vjp,
+    vjp_tangent,
+)
 from kpirl_ocp.ocp.models.mlp_hessian import prepare, second
 from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedByStage
 
@@ -145,13 +155,15 @@ def test_hand_arranged_derivatives_are_those_of_ad(activation, output_activation
 
 
 @every_activation
-def test_the_clearance_is_that_of_the_argument_nearest_to_a_kink_relative_to_the_largest_of_its_layer(activation):
-    mlp, points = random_mlp(activation, widths=(9, 13, 6)), np.random.default_rng(1).normal(size=(9, 3))
+def test_the_clearance_is_that_of_the_argument_nearest_to_a_kink_relative_to_the_largest(activation):
+    mlp, points = random_mlp(activation), np.random.default_rng(1).normal(size=(9, 3))
     x = ca.MX.sym("x", 9, 3)
-    found = float(ca.Function("clearance", [x], [clearance(mlp.linearise(x)[1])])(points))
-    size = np.abs(mlp.weights[0] @ points + mlp.biases[0][:, None])
-    kinked = activation in ("relu", "leaky_relu", "elu")
-    np.testing.assert_allclose(found, size.min() / size.max() if kinked else np.inf, rtol=1e-11)
+    found = float(ca.Function("clearance", [x], [clearance(kinked(mlp.linearise(x)[1]))])(points))
+    bent = np.array(ACTIVATIONS[activation](ca.DM(mlp.weights[0] @ points + mlp.biases[0][:, None]))[0])
+    arguments = [mlp.weights[0] @ points + mlp.biases[0][:, None], mlp.weights[1] @ bent + mlp.biases[1][:, None]]
+    sizes = np.abs(np.vstack(arguments))
+    expected = sizes.min() / sizes.max() if activation in ("relu", "leaky_relu", "elu") else np.inf
+    np.testing.assert_allclose(found, expected, rtol=1e-11)
 
 
 @every_activation

@@ -227,10 +227,12 @@ class _Sweep(NamedTuple):
     def result(self, kink: float, wrong: tuple[str, ...]) -> HypergradientResult:
         """With what else is wrong, and a failure where the steps are not smooth."""
         found = self.certificate
-        failures = [*found.failures, *wrong]
+        failures = *found.failures, *wrong
         if not failures and not kink <= KINK:
-            failures.append(_STEPS_KINK)
-        return HypergradientResult(self.loss, self.gradient, replace(found, kink=kink, failures=tuple(failures)))
+            failures = (_STEPS_KINK,)
+        if kink != found.kink or failures != found.failures:
+            found = replace(found, kink=kink, failures=failures)
+        return HypergradientResult(self.loss, self.gradient, found)
 
 
 def _plan(solution: Solution) -> Array:
@@ -250,7 +252,7 @@ def _sweep(problem: OCP, solver: GradientDescent, last: int, psi: Array, context
         differentiated=last,
         remainder=remainder,
         kink_distance=kink,
-        kink=np.inf,  # until it is measured
+        kink=0.0,  # until it is measured
     )
     return _Sweep(value, gradient, certificate, clearance > _CLEAR * max(1.0, remainder))
 

@@ -26,6 +26,7 @@ from kpirl_ocp.ocp.models.mlp import (
     flatten_slopes,
     has_curvature,
     jvp,
+    kinked,
     unflatten_slopes,
     vjp,
     vjp_tangent,
@@ -48,9 +49,10 @@ class NetworkPasses:
         z0, theta0, velocity = self._parts(s0)
         theta = self._sum(theta0, actions)
         constant = ca.mac(ca.DM(self._by_velocity), velocity, ca.repmat(ca.DM(self._mlp.biases[0]), 1, self.columns))
-        z, clearances, *memory = scan(self._forward, z0, self._drive_inputs(theta, actions, constant), self.horizon)
+        z, *kept = scan(self._forward, z0, self._drive_inputs(theta, actions, constant), self.horizon)
         states = _stack(ca.horzcat(z0, z), theta, ca.repmat(velocity, 1, self.horizon + 1))
-        return Rollout(states, actions, tuple(memory), ca.mmin(clearances))
+        remembered = len(self._slopes)
+        return Rollout(states, actions, tuple(kept[:remembered]), clearance(kept[remembered:]))
 
     def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
         """Changes of the states, of s_0 none."""
@@ -158,10 +160,10 @@ class NetworkPasses:
 
     @cached_property
     def _forward(self) -> ca.Function:
-        """z, inputs for e_t -> z_next, clearance, slopes."""
+        """z, inputs for e_t -> z_next, slopes, arguments with kinks."""
         z, (inputs, drive) = self._symbol("z"), self._drive_symbols(constant=True)
         y, slopes = self._mlp.linearise(z, drive)
-        outputs = [self._residual(z) + y, clearance(slopes), *flatten_slopes(slopes)]
+        outputs = [self._residual(z) + y, *flatten_slopes(slopes), *kinked(slopes)]
         return ca.Function("forward", [z, *inputs], outputs)
 
     @cached_property

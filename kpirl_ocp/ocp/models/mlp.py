@@ -179,10 +179,18 @@ def jacobian(mlp: MLP, slopes: Sequence[Slopes]) -> ca.MX:
     return columns.T
 
 
-def clearance(slopes: Sequence[Slopes]) -> ca.MX:
-    """The argument of an activation nearest to a kink, relative to the largest of its layer; infinite without kinks."""
-    sizes = [ca.fabs(slope.kink) for slope in slopes if slope.kink is not None]
-    return ca.mmin(ca.vertcat(np.inf, *(ca.mmin(size) / (ca.mmax(size) + _TINY) for size in sizes)))
+def kinked(slopes: Sequence[Slopes]) -> list[ca.MX]:
+    """The arguments of all activations with a kink at zero (n, B), one below the other; nothing without such."""
+    arguments = [slope.kink for slope in slopes if slope.kink is not None]
+    return [ca.vertcat(*arguments)] if arguments else []
+
+
+def clearance(arguments: Sequence[ca.MX]) -> ca.MX:
+    """The smallest of `kinked`, relative to the largest; infinite without any."""
+    if not arguments:
+        return ca.MX.inf()
+    sizes = ca.fabs(arguments[0])
+    return ca.mmin(sizes) / (ca.mmax(sizes) + _TINY)
 
 
 def has_curvature(slopes: Sequence[Slopes]) -> bool:
