@@ -234,7 +234,10 @@ class Solution:
 
     def panels(self) -> tuple[Panel, Panel]:
         """States and actions over time, to be drawn."""
-        return Panel("states", self.states), Panel("actions", self.actions, stairs=True)
+        states, actions = (
+            [f"{name}{i}" for i in range(values.shape[1])] for name, values in (("s", self.states), ("u", self.actions))
+        )
+        return Panel("states", self.states, states), Panel("actions", self.actions, actions, stairs=True)
 
     def _repr_html_(self) -> str:
         facts = {

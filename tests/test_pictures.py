@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import LBFGS, OCP, Demonstration, Implicit, Riccati, learn, sensitivity
+from kpirl_ocp import LBFGS, OCP, Demonstration, Implicit, Riccati, Soft, learn, sensitivity
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.figures import colours, new_figure, panels_of_bands, wrapped_figure
 from kpirl_ocp.ocp.models import MLP, Robot
@@ -134,6 +134,23 @@ def test_bounds_far_away_do_not_flatten_what_is_plotted(problem, solution):
     assert plot(solution, far).axes[0].get_ylim() == (low, high)
     near = replace(problem, state_bounds=(-np.inf, [high + 0.1, np.inf]))
     assert plot(solution, near).axes[0].get_ylim()[1] > high + 0.1
+
+
+def test_what_a_statement_adds_has_names_of_its_own_in_a_plot():
+    s, u, q = ca.SX.sym("s", 2), ca.SX.sym("u"), ca.SX.sym("q")
+    stated = OCP.from_expressions(
+        state=s,
+        action=u,
+        static=q,
+        dynamics=s + q * ca.vertcat(s[1], u),
+        stage_cost=ca.sumsqr(s) + u**2,
+        terminal_cost=q**2,
+        soft=Soft(s[0] - 0.5, 1.0),
+        horizon=4,
+    )
+    plan = Riccati().solve(stated, [1.0, 0.0])
+    legends = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in plot(plan, stated).axes]
+    assert legends == [["s0", "s1", "q0", "end slack 0"], ["u0", "slack 0"]]
 
 
 def test_a_notebook_shows_what_plot_returns(solution):

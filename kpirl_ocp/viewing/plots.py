@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import singledispatch
 
 import numpy as np
@@ -34,7 +35,10 @@ def plot(result: object, problem: OCP | None = None) -> Figure:
 
 @plot.register
 def _(result: Solution, problem: OCP | None = None) -> Figure:
-    figure = draw(result.panels())
+    states, actions = result.panels()
+    if problem is not None:
+        states, actions = replace(states, names=_states(problem)), replace(actions, names=_actions(problem))
+    figure = draw((states, actions))
     figure.suptitle(f"{result.status.name}, objective {result.objective:.6g}", fontsize=10)
     if problem is not None:
         _draw_bounds(figure.axes[0], problem.state_bounds, stairs=False)
@@ -54,6 +58,19 @@ def _(result: Certificate, problem: OCP | None = None) -> Figure:
     figure = plot(result.solution, problem)
     figure.suptitle(str(result), fontsize=9, wrap=True)
     return figure
+
+
+def _states(problem: OCP) -> list[str]:
+    """s of the user, q for static decisions, and slacks at the end."""
+    added = problem.additions
+    counts = {"s": problem.n_stated_states, "q": len(added.static), "end slack ": added.end_slacks}
+    return [f"{name}{i}" for name, count in counts.items() for i in range(count)]
+
+
+def _actions(problem: OCP) -> list[str]:
+    """u of the user, and slacks."""
+    counts = {"u": problem.n_stated_actions, "slack ": problem.additions.slacks}
+    return [f"{name}{i}" for name, count in counts.items() for i in range(count)]
 
 
 def _draw_bounds(axes: Axes, bounds: Bounds, stairs: bool) -> None:
