@@ -82,6 +82,15 @@ def test_constraints_that_gradient_steps_do_not_honour_are_no_cases_for_them():
     assert stated(by_family["unconverged"], "Unrolled")
 
 
+def test_a_gradient_of_smooth_steps_that_holds_next_to_psi_alone_is_not_certified():
+    """Steps that are too long for a quartic: at 1e-10 of psi the slopes are those of the gradient, at 1e-6 others."""
+    case = draw(3652)
+    found = Unrolled(steps_for(case), case.loss, "flag")(case.problem, case.demonstration, case.psi, case.guess)
+    assert 1e6 < found.certificate.remainder < 1e8
+    assert len(found.certificate.failures) == 1
+    assert found.certificate.failures[0].startswith("The steps diverge: the loss has other slopes beside psi")
+
+
 @pytest.mark.parametrize("index", [7, 631])
 def test_slow_steps_in_units_of_a_small_cost_are_not_taken_for_rounding(index):
     case = draw(index)

@@ -47,12 +47,20 @@ _REMAINDER = 1e-9
 # Clearance from kinks of the dynamics beyond which slopes to both sides of psi, taken over as much of psi, show none;
 # times what the steps enlarge differences by.
 _CLEAR = 1e-6
+# Growth of the adjoint back over the steps up to which smooth functions make a loss that is smooth around psi: within
+# 1e-6 of it, slopes change by some 1e-6 times the growth. Steps that enlarge differences more may be chaotic: exact
+# derivatives then hold within 1e-11 of psi, say, and tell nothing.
+_STEADY = 100.0
 # Growth of the adjoint back over the steps, and so of rounding along them, that leaves less than eight digits.
 _GROWTH = 1e8
 _WRONG_DERIVATIVES = "The problem's own derivatives are not those of its dynamics: correct them, or leave them out."
 _STEPS_KINK = (
     "The steps end on a kink or cross one: the loss has other slopes beside psi than this gradient. "
     "Use smooth costs and dynamics (squares, softplus, tanh)."
+)
+_STEPS_BEND = (
+    "The steps diverge: the loss has other slopes beside psi than this gradient, though all functions are smooth. "
+    "Take smaller steps (`step_size`), or another guess."
 )
 
 
@@ -66,8 +74,9 @@ class UnrolledCertificate(Certificate):
     kink_distance: smallest distance of an unprojected iterate to its bound; infinite without projection.
     kink: relative difference between the gradient and the slopes of the loss to both sides, along one fixed random
         direction of psi, from steps taken again at psi beside; what curvature explains is left out. It also measures
-        what truncation left out. Zero, and not measured, where all functions are smooth by their operations, but for
-        the activations of a network whose arguments stay clear of kinks at all iterates.
+        what truncation left out. Zero, and not measured, where the steps enlarge differences (`remainder`) at most
+        100 times, and all functions are smooth by their operations, but for the activations of a network whose
+        arguments stay clear of kinks at all iterates.
     """
 
     steps: int
@@ -180,7 +189,7 @@ def unrolled_gradients(
     ]
     wrong = () if passes_agree(problem, len(inputs)) else (_WRONG_DERIVATIVES,)
     smooth = all(_smooth(problem, loss, sweep.clear) for sweep in sweeps)
-    if smooth and last == solver.steps:
+    if smooth and last == solver.steps and all(sweep.certificate.remainder <= _STEADY for sweep in sweeps):
         return [sweep.result(0.0, wrong) for sweep in sweeps]
     ends = [
         LossAt(problem, loss, data_of(loss, problem, demonstration), _plan(sweep.certificate.solution))
@@ -190,7 +199,9 @@ def unrolled_gradients(
     descents = Descents(problem, solver, loss, inputs[0][1], actions, starts, contexts, observed)
     kinks = descents.kinks(*map(np.array, found)).tolist()
     return [
-        sweep.result(kink, (*wrong, *([] if smooth else sweep.kinks(problem, at))))
+        sweep.result(
+            kink, (*wrong, *([] if smooth else sweep.kinks(problem, at))), _STEPS_BEND if smooth else _STEPS_KINK
+        )
         for sweep, at, kink in zip(sweeps, ends, kinks, strict=True)
     ]
 
@@ -224,12 +235,12 @@ class _Sweep(NamedTuple):
         """Sentences where the loss or a function of psi is not smooth at the plan."""
         return at.kinks + parameter_kinks(problem, self.certificate.solution)
 
-    def result(self, kink: float, wrong: tuple[str, ...]) -> HypergradientResult:
-        """With what else is wrong, and a failure where the steps are not smooth."""
+    def result(self, kink: float, wrong: tuple[str, ...], bent: str = _STEPS_KINK) -> HypergradientResult:
+        """With what else is wrong, and with the failure `bent` where the steps are not smooth."""
         found = self.certificate
         failures = *found.failures, *wrong
         if not failures and not kink <= KINK:
-            failures = (_STEPS_KINK,)
+            failures = (bent,)
         if kink != found.kink or failures != found.failures:
             found = replace(found, kink=kink, failures=failures)
         return HypergradientResult(self.loss, self.gradient, found)
