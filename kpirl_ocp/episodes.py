@@ -149,15 +149,17 @@ def _is_count(value: Any) -> bool:
 
 def read_episode(path: Path, kind: type[E]) -> E:
     """One episode. Raises EpisodeError, naming file and key, if anything is amiss."""
+    keys = [entry.metadata["key"] for entry in _entries(kind)]
     try:
         check_archive(path)
         with np.load(path, allow_pickle=False) as file:
-            arrays = {entry.name: file[entry.metadata["key"]] for entry in _entries(kind)}
+            if missing := [key for key in keys if key not in file.files]:
+                raise KeyError(missing[0])
+            arrays = {entry.name: file[key] for entry, key in zip(_entries(kind), keys, strict=True)}
     except FileNotFoundError:
         raise EpisodeError(f"{path} is missing: the collection was interrupted; run its command again.") from None
     except KeyError as error:
-        keys = ", ".join(entry.metadata["key"] for entry in _entries(kind))
-        raise EpisodeError(f"{path} has no key {error}; a {kind.__name__} needs {keys}.") from None
+        raise EpisodeError(f"{path} has no key {error}; it needs {', '.join(keys)}.") from None
     except (OSError, ValueError, TypeError, EOFError, NotImplementedError, BadZipFile, zlib.error) as error:
         raise EpisodeError(f"{path} cannot be read as an episode: {error}") from error
     episode = kind(**arrays)

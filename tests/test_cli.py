@@ -207,6 +207,10 @@ WRONG = {  # words, beginning of the sentence
     "solve --robot missing.urdf": "--robot: there is no URDF file missing.urdf.",
     "solve --robot own.py": "--robot: own.py cannot be read as a URDF",
     "solve --tool elbow": "--robot iiwa --tool elbow: the robot 'lbr_iiwa' has no link 'elbow'; its links are:",
+    "solve --robot=": "--robot: expected a name, got ''.",
+    "solve --tool=": "--tool: expected a name, got ''.",
+    "learn-video a.mp4 --robot=": "--robot: expected a name, got ''.",
+    "learn-video a.mp4 --flange=": "--flange: expected a name, got ''.",
     "solve --out=": "--out: expected a directory, got ''.",
     "solve --out own.py/x": "--out: cannot write to 'own.py/x': Not a directory.",
     "solve --out own.py": "--out: 'own.py' is a file, and not a directory.",
@@ -262,6 +266,7 @@ WRONG = {  # words, beginning of the sentence
     "collect sines --jobs 0": f"--jobs: {WHOLE} 1, got '0'.",
     "collect sines --jobs 100000": f"--jobs: {MOST} 1024, got '100000'.",
     "collect sines --amplitude -1": "--amplitude: expected a finite number of at least 0 and of at most 6.2832, got",
+    "collect sines --surroundings 9": f"--surroundings: {MOST} 3, got '9'.",
     "collect hand-placing --seconds 1e300": "--seconds: expected a finite number of at least 0.1 and of at most 3600, ",
     "train-keypoints --data nowhere": "--data: there is no directory 'nowhere'.",
     "train-keypoints --data . --preset ful": "--preset: expected one of tiny, default, full, minderer, got 'ful': "
@@ -367,7 +372,12 @@ def test_a_misspelt_robot_is_answered_with_the_nearest(robot, tmp_path, monkeypa
             "collect sines --swing 0.1",
             "--swing is not for sines, which has --rate, --surroundings, --steps, --amplitude, --others.",
         ),
+        (
+            "collect hand-placing --rate 1 --seconds 0.2",
+            "--seconds, --rate: 0.2 s at 1 Hz are a clip of one frame.",
+        ),
         ("train-keypoints --data empty", "--data: empty/meta.json does not exist"),
+        ("train-keypoints --data none", "--data: training needs clips of at least 6 frames; there are none."),
     ],
 )
 def test_wrong_input_of_the_camera_is_one_sentence(words, beginning, tmp_path, monkeypatch, capsys):
@@ -375,6 +385,8 @@ def test_wrong_input_of_the_camera_is_one_sentence(words, beginning, tmp_path, m
         pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
+    (tmp_path / "none").mkdir()
+    (tmp_path / "none" / "meta.json").write_text('{"version": 1, "episodes": 0}')
     assert refusal(words.split(), capsys).startswith(beginning)
 
 

@@ -62,6 +62,13 @@ def one_of(names: Iterable[str]) -> Callable[[str], str]:
     return parse
 
 
+def name(word: str) -> str:
+    """A name of something, which is looked up later."""
+    if not word:
+        raise ArgumentTypeError("expected a name, got ''")
+    return word
+
+
 def directory(word: str) -> Path:
     """A directory for results, which need not exist."""
     if not word:

@@ -21,7 +21,7 @@ from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.evaluation import DetectorScores, score
 from kpirl_ocp.perception.detector.track_images import contact_sheet, track_video
-from kpirl_ocp.perception.detector.training import PRESETS, device_called, train_detector
+from kpirl_ocp.perception.detector.training import PRESETS, check_lengths, device_called, train_detector
 from kpirl_ocp.perception.detector.verdict import faults
 from kpirl_ocp.reporting import said_if_interrupted, table, write_metrics
 from kpirl_ocp.types import Array
@@ -146,9 +146,11 @@ def train(args: Namespace) -> None:
         start = KeypointDetector.load(args.start).model if args.start else None
     with of_option("--data"):
         clips = [clip.images for clip in read_recordings(args.data)]
+        check_lengths(clips, settings.frames)
     tests = held_out(args.test)
     with of_option("--videos"):
         others = read_videos(args.videos)
+        check_lengths(others or clips, settings.frames)
     trained = train_detector(
         clips,
         settings,

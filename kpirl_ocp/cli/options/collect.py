@@ -18,7 +18,7 @@ TURN = round(math.tau, 4)  # [rad]
 SETTINGS = {  # name: type and help; each motion has its own defaults
     "rate": (whole(1, 1000), "frames per second"),
     "surroundings": (
-        whole(0),
+        whole(0, 3),
         "0: white wall, 1: plain wall of any colour, 2: clutter, light, shake, noise and H.264, 3: any",
     ),
     "frames": (whole(2, LONGEST), "of a sequence (keypoints)"),

@@ -12,7 +12,7 @@ from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable
 from pathlib import Path
 
-from kpirl_ocp.cli.values import existing_file, real, whole
+from kpirl_ocp.cli.values import existing_file, name, real, whole
 from kpirl_ocp.sizes import LONGEST
 
 
@@ -31,9 +31,9 @@ def add_options(parser: ArgumentParser) -> None:
     which.add_argument("--detector", type=existing_file, help="card of a trained keypoint detector")
     arm = parser.add_argument_group("the arm")
     arm.add_argument(
-        "--robot", help="iiwa (default), a name of example-robot-data, or a .urdf file; of --recording, too"
+        "--robot", type=name, help="iiwa (default), a name of example-robot-data, or a .urdf file; of --recording, too"
     )
-    arm.add_argument("--flange", metavar="LINK", help="that holds the bottle (default: the arm's tool)")
+    arm.add_argument("--flange", type=name, metavar="LINK", help="that holds the bottle (default: the arm's tool)")
     size = arm.add_mutually_exclusive_group()
     size.add_argument("--object-size", type=real(above=0), help="its length [m] (default: 0.25, the arm's bottle)")
     size.add_argument("--scale", type=real(above=0), help="pixels of the arm's camera per pixel of the film")

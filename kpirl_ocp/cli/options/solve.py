@@ -14,7 +14,7 @@ s0 is the start; psi the parameters and context the goal, where the problem has 
 
 from argparse import ArgumentParser
 
-from kpirl_ocp.cli.values import one_of, own_function, real, whole
+from kpirl_ocp.cli.values import name, one_of, own_function, real, whole
 from kpirl_ocp.sizes import LONGEST
 
 SOLVERS = ("riccati", "ipopt", "fatrop", "sqp", "gradient")
@@ -36,8 +36,12 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument("--steps", type=whole(1, LONGEST), default=500, help="of the gradient solver (default: 500)")
     parser.add_argument("--step-size", type=real(above=0), default=3e-3, help="of the gradient solver (default: 0.003)")
     arm = parser.add_argument_group("the arm's problem")
-    arm.add_argument("--robot", help="iiwa (default), a name of example-robot-data (panda, ur5), or a .urdf file")
-    arm.add_argument("--tool", metavar="LINK", help="that holds the object (default: the one at the end, if it is one)")
+    arm.add_argument(
+        "--robot", type=name, help="iiwa (default), a name of example-robot-data (panda, ur5), or a .urdf file"
+    )
+    arm.add_argument(
+        "--tool", type=name, metavar="LINK", help="that holds the object (default: the one at the end, if it is one)"
+    )
     move = real(least=-1000, most=1000)
     arm.add_argument("--move", type=move, nargs=3, metavar=("DX", "DY", "DZ"), help="[m] (default: 0.1 0 -0.2)")
     arm.add_argument("--horizon", type=whole(1, LONGEST), help="time steps T (default: 10)")

@@ -196,13 +196,18 @@ def _step(
 
 def _resized(clips: Sequence[Frames], settings: DetectorSettings) -> list[NDArray[np.uint8]]:
     """Clips (n, size, size, 3), by area averaging."""
-    short = [len(clip) for clip in clips if len(clip) < settings.frames]
+    check_lengths(clips, settings.frames)
+    return [resize(clip, settings.size) for clip in clips]
+
+
+def check_lengths(clips: Sequence[Frames], frames: int) -> None:
+    """Raise TrainingError if there are no clips, or one has too few frames."""
+    short = [len(clip) for clip in clips if len(clip) < frames]
     if not clips or short:
         raise TrainingError(
-            f"training needs clips of at least {settings.frames} frames; "
+            f"training needs clips of at least {frames} frames; "
             + (f"the shortest has {min(short)}." if short else "there are none.")
         )
-    return [resize(clip, settings.size) for clip in clips]
 
 
 def _digest(sources: list[list[Frames]]) -> str:
