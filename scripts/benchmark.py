@@ -3,6 +3,7 @@
 Contenders take turns in one run, which takes a quarter of an hour. Writes benchmark.md, benchmark.png and metrics.json;
 with --page the pages that show them, too. JAX, torch, PIQP and Crocoddyl are optional peers: pip install .[bench]. The
 cache of compiled code is empty at the start, and does not touch the user's.
+A part that fails is named at the end, with the numbers of all others kept and no page written.
 """
 
 from kpirl_ocp.cli.main import experiment

@@ -271,6 +271,27 @@ def test_the_names_that_options_accept_are_those_of_the_experiments(monkeypatch)
     assert set(accepted["handwriting"]["SHAPES"]) == set(lasa.dataset.NAMES_)
 
 
+def test_a_part_of_the_benchmark_that_fails_costs_no_other_and_is_named_at_the_end(tmp_path):
+    code = f"""
+import runpy, sys
+sys.path.insert(0, {str(ROOT / "scripts")!r})
+import bench.suite
+def broken(preset):
+    raise ValueError("a peer has changed")
+bench.suite.PARTS["solvers"] = broken
+words = ["--preset", "tiny", "--only", "solvers", "ceilings", "--page", "--out", {str(tmp_path)!r}]
+sys.argv = [{str(ROOT / "scripts/benchmark.py")!r}, *words]
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ended.returncode == 2, ended.stderr
+    assert "ValueError: a peer has changed" in ended.stderr
+    last = ended.stderr.splitlines()[-1]
+    assert last == f"error: solvers failed, for reasons above; what ceilings measured is in {tmp_path}."
+    assert json.loads((tmp_path / "metrics.json").read_text())["results"].keys() == {"ceilings", "bars"}
+    assert "page:" not in ended.stdout
+
+
 def test_the_parts_of_benchmark_and_stress_test_are_those_that_their_options_accept():
     code = """
 import sys

@@ -3,7 +3,11 @@
 import os
 import tempfile
 import time
+import traceback
 from argparse import Namespace
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 from bench import one_thread  # noqa: F401  before anything that starts threads
 
@@ -29,6 +33,7 @@ from bench import (
 from bench.bars import bars, table
 from bench.part import Table
 from bench.settings import PRESETS
+from kpirl_ocp.errors import KpirlError
 from kpirl_ocp.reporting import kept_if_interrupted, write_metrics
 
 PARTS = {
@@ -48,17 +53,35 @@ PARTS = {
 }
 
 
-def measure(names: list[str], preset: str, numbers: dict[str, dict]) -> dict[str, list[Table]]:
-    """Tables of the parts, each shown as soon as it is done; their numbers go into `numbers`."""
+def measure(
+    names: list[str], preset: str, numbers: dict[str, dict], keep: Callable[[], object]
+) -> dict[str, list[Table]]:
+    """Tables of the parts, each shown and kept as soon as it is done; their numbers go into `numbers`.
+
+    A part that fails is left out, and the others go on: `failures` names it.
+    """
     tables: dict[str, list[Table]] = {}
     for name in names:
         print(f"{name} ..", flush=True)
         started = time.perf_counter()
-        part = PARTS[name](PRESETS[preset])
+        try:
+            part = PARTS[name](PRESETS[preset])
+        except Exception:  # of a peer or of ours
+            traceback.print_exc()
+            continue
         numbers[name] = part.numbers
         tables[name] = list(part.tables)
+        keep()
         print("\n\n".join(map(str, part.tables)) + f"\n\n({time.perf_counter() - started:.0f} s)\n", flush=True)
     return tables
+
+
+def failures(names: list[str], tables: dict[str, list[Table]], where: Path) -> None:
+    """Raise KpirlError, which names the parts that failed, if there are any."""
+    failed = [name for name in names if name not in tables]
+    if failed:
+        kept = f"what {', '.join(tables)} measured is in {where}" if tables else "nothing was measured"
+        raise KpirlError(f"{', '.join(failed)} failed, for reasons above; {kept}.")
 
 
 def main(args: Namespace) -> None:
@@ -68,7 +91,10 @@ def main(args: Namespace) -> None:
         kept_if_interrupted(args.out, vars(args), numbers, lambda: f"{len(numbers)} of {len(args.only)} parts"),
     ):
         os.environ["XDG_CACHE_HOME"] = cache
-        tables = measure(args.only, args.preset, numbers)
+        keep = partial(write_metrics, args.out, vars(args), numbers)
+        tables = measure(args.only, args.preset, numbers, keep)
+    if not tables:
+        failures(args.only, tables, args.out)
     claims = bars(numbers)
     verdicts = table(claims)
     print(f"{verdicts}\n")
@@ -86,6 +112,7 @@ def main(args: Namespace) -> None:
     print(f"tables:  {written}\nnumbers: {write_metrics(args.out, settings, results)}")
     figure = drawing.draw(numbers, PRESETS[args.preset], args.out / "benchmark.png")
     print(f"figure:  {figure}")
+    failures(args.only, tables, args.out)
     if args.page:
         page.write(tables, verdicts, numbers, figure)
         print(f"page:    {page.PAGE}")
