@@ -21,6 +21,7 @@ from kpirl_ocp import (
     discretise,
 )
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.irl.hypergradients import demonstrated_observations
 
 X = ca.MX.sym("x")
 SX = ca.SX.sym("v", 2)
@@ -228,3 +229,17 @@ def test_trajectories_may_leave_out_added_states_and_actions():
     np.testing.assert_array_equal(problem.as_states(plan.states), np.tile([1, 1, 0], (13, 1)))
     np.testing.assert_array_equal(problem.as_actions(plan.actions), np.tile([1, 0, 0], (12, 1)))
     np.testing.assert_array_equal(problem.stated(Trajectory(problem.as_states(plan.states), plan.actions)).states, 1)
+
+
+def test_a_demonstration_without_a_context_is_not_called_one_that_is_not_finite():
+    with pytest.raises(ProblemError, match="the demonstration's context must be an array of numbers, got NoneType"):
+        Demonstration([0.0], None, [[0.0], [1.0]])
+
+
+def test_states_in_the_place_of_observations_are_recognised():
+    problem = state(static=Q, static_bounds=(0, 1), terminal_cost=Q**2)
+    plan = Riccati().solve(problem, [0.0, 0.0])
+    with pytest.raises(ProblemError, match=r"\(13, 2\), got \(13, 3\): these may be states, whose observations are"):
+        demonstrated_observations(problem, Demonstration([0.0, 0.0], [], plan.states))
+    seen = Demonstration([0.0, 0.0], [], problem.observe(plan.states.T).full().T)
+    np.testing.assert_array_equal(demonstrated_observations(problem, seen).T, problem.stated(plan).states)
