@@ -356,6 +356,16 @@ def test_a_full_disk_is_one_sentence_and_leaves_no_part_of_a_file(room, own, tmp
     assert list((tmp_path / "out").iterdir()) == []
 
 
+@pytest.mark.parametrize("words", ["--help", "solve own.py:pendulum --solver ipopt"])
+def test_a_reader_who_has_seen_enough_ends_the_program_without_a_word(words, own, tmp_path):
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [*KPIRL, *words.split()]
+    result = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, timeout=300, cwd=tmp_path)
+    os.close(writing)
+    assert (result.returncode, result.stderr) == (128 + signal.SIGPIPE, "")
+
+
 @pytest.mark.parametrize("robot", ["iwa", "pnada"])
 def test_a_misspelt_robot_is_answered_with_the_nearest(robot, tmp_path, monkeypatch, capsys):
     pytest.importorskip("kpirl_ocp.ocp.models.robot_files").example_urdf("panda")  # without the extra: another sentence

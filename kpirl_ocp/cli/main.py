@@ -1,6 +1,7 @@
 """`kpirl COMMAND OPTIONS`: reads and checks the options, then imports and does the work.
 
-Exit codes: 0, 1 for a result that is not what was asked for, 2 for wrong input, 130 after Ctrl-C or SIGTERM.
+Exit codes: 0, 1 for a result that is not what was asked for, 2 for wrong input, 130 after Ctrl-C or SIGTERM,
+141 where nobody reads the output any more.
 """
 
 from __future__ import annotations
@@ -8,6 +9,8 @@ from __future__ import annotations
 import contextlib
 import inspect
 import os
+import select
+import signal
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
@@ -73,14 +76,28 @@ def run(words: Sequence[str]) -> int:
 def _with_sentences(work: Callable[[], int]) -> int:
     with stoppable():
         try:
-            return work()
+            code = work()
+            sys.stdout.flush()
+            return code
         except (KpirlError, OSError) as error:
+            if isinstance(error, BrokenPipeError) and _nobody_reads():
+                return 128 + signal.SIGPIPE
             print(f"error: {_sentence(error)}", file=sys.stderr)
             return 2
         except KeyboardInterrupt as stop:
             exec("")  # Python forgets that Ctrl-C passed an `exec`, as in dataclass(): else it would end as if killed
             print(f"\ninterrupted: {stop}." if str(stop) else "\ninterrupted.", file=sys.stderr)
             return 130
+
+
+def _nobody_reads() -> bool:
+    """Whether the reader of stdout is gone, as after `| head`; then nothing more is written there."""
+    poll = select.poll()
+    poll.register(sys.stdout.fileno(), 0)
+    gone = any(event & select.POLLERR for _, event in poll.poll(0))
+    if gone:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return gone
 
 
 def _dispatch(words: list[str]) -> int:
