@@ -50,6 +50,19 @@ def test_the_code_of_a_page_prints_what_its_comments_promise(name, tmp_path, mon
     assert printed.split("\n")[:-1] == promised
 
 
+def test_no_certificate_of_the_stress_test_is_wrong_and_every_table_of_it_has_a_date_and_a_commit():
+    page = (ROOT / "docs/results/stress.md").read_text()
+    assert re.search(r"\d{4}-\d\d-\d\d; certificates at commit [0-9a-f]{7}", page)
+    tables = re.findall(r"^### (?:Certificates|Other methods)[^\n]*\n\n(\|.*?)\n\n", page, re.MULTILINE | re.DOTALL)
+    assert len(tables) == 2
+    for header, _, *rows in (table.splitlines() for table in tables):
+        column = header.split(" | ").index("certified and wrong")
+        assert [row.split(" | ")[column] for row in rows] == ["0"] * len(rows)
+    for section in ("Other methods", "Kills"):
+        below = page.split(f"### {section}")[1].split("###")[0]
+        assert re.search(r"\d{4}-\d\d-\d\d.{0,80}\b[0-9a-f]{7}\b", below, re.DOTALL), section
+
+
 def test_a_training_step_through_a_problem_takes_ten_lines():
     step = CODE["docs/howto/pytorch.md"][0]
     others = ("import", "from", "print", "torch.manual_seed")
