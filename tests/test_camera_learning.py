@@ -70,7 +70,7 @@ def iiwa():
 def learned(iiwa):
     arm, wanted = iiwa
     demonstration = camera_demonstration(arm.setting, arm.robot, arm.start, wanted)
-    return learn_in_image(arm.setting, arm.robot, demonstration, rate=5.0, iterations=40)
+    return learn_in_image(arm.setting, arm.robot, [demonstration], rate=5.0, iterations=40)
 
 
 # The camera in the plan
@@ -213,6 +213,21 @@ def test_a_cost_is_learned_whose_executed_plan_follows_the_demonstration(iiwa, l
         assert done.images.shape == (7, 240, 240, 3)
 
 
+def test_a_cost_is_learned_from_all_the_starts_that_it_is_given(iiwa):
+    arm, wanted = iiwa
+    starts = other_starts(arm, 3, seed=(0, 1))
+    demonstrations = [camera_demonstration(arm.setting, arm.robot, start, wanted) for start in starts]
+    first, *others = (
+        learn_in_image(arm.setting, arm.robot, [one], rate=5.0, iterations=1).history.losses[0]
+        for one in demonstrations
+    )
+    together = learn_in_image(arm.setting, arm.robot, demonstrations, rate=5.0, iterations=30)
+    assert together.history.losses[0] == pytest.approx(np.mean([first, *others]))
+    assert together.cost.start == pytest.approx(arm.start)
+    reached = [execute(arm, together.cost, wanted, start).planned for start in other_starts(arm, 4, seed=0)]
+    assert max(reached) < 0.1
+
+
 def test_a_cost_is_learned_for_the_plans_that_it_gives_from_a_cold_start():
     u, psi = ca.SX.sym("u"), ca.SX.sym("psi")
     s = ca.SX.sym("s")
@@ -220,7 +235,7 @@ def test_a_cost_is_learned_for_the_plans_that_it_gives_from_a_cold_start():
         state=s, action=u, parameters=psi, horizon=1, dynamics=s + u, stage_cost=(u**2 - 1) ** 2 + 0.3 * psi * u
     )
     demonstration = Demonstration([0.0], [], [[0.0], [0.9]])  # best at psi = 2.28, if the plan stays in its valley
-    result = learn_on(two_valleys, demonstration, np.array([-0.5]), 30)
+    result = learn_on(two_valleys, [demonstration], np.array([-0.5]), 30)
     plan = Riccati(tolerance=1e-9).solve(two_valleys, [0.0], result.psi)
     assert result.losses[0] > result.loss == pytest.approx((plan.states[-1, 0] - 0.9) ** 2)
     assert plan.states[-1, 0] > 0

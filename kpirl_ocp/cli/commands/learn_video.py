@@ -27,6 +27,7 @@ from kpirl_ocp.reporting import said_if_interrupted, table, write_metrics
 from kpirl_ocp.types import Array
 
 _SHOWN = 8  # frames of the contact sheet
+_LEARNED_FROM = 5  # starts, so that the cost suits others as well
 
 
 def main(args: Namespace) -> int:
@@ -119,11 +120,12 @@ def _part(film: Film, tracks: Tracks) -> tuple[Film, Tracks]:
 
 def _learn(args: Namespace, arm: Arm, way: Array, rate: float) -> LearnedCost:
     """The cost, written to OUT, or that of --cost."""
-    demonstration = camera_demonstration(arm.setting, arm.robot, arm.start, way)
-    check_reach(arm.setting, arm.robot, demonstration)
+    starts = other_starts(arm, _LEARNED_FROM, (args.seed, 1))  # none of those that are executed but the first
+    demonstrations = [camera_demonstration(arm.setting, arm.robot, start, way) for start in starts]
+    check_reach(arm.setting, arm.robot, demonstrations[0])
     if args.cost:
         return _reuse(args.cost, arm, way)
-    learning = learn_in_image(arm.setting, arm.robot, demonstration, rate, args.iterations)
+    learning = learn_in_image(arm.setting, arm.robot, demonstrations, rate, args.iterations)
     learning.cost.write(args.out / "cost.json")
     print(f"\nIRL {learning.history}; the plan stays {learning.distance:.1%} of the way from the demonstration")
     print(f"cost:    {args.out / 'cost.json'}\nfigure:  {draw_learning(args.out / 'learning.png', learning)}")

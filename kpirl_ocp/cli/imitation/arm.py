@@ -99,7 +99,7 @@ def arm_for(name: str, flange: str | None, places: Array, scale: Scale) -> tuple
     return Arm(name, link, start, camera, setting, setting.build()), way
 
 
-def other_starts(arm: Arm, count: int, seed: int) -> list[Array]:
+def other_starts(arm: Arm, count: int, seed: int | tuple[int, ...]) -> list[Array]:
     """The arm's start (n_joints,) and count - 1 others, up to 0.08 rad away in each joint and within its limits."""
     rng = np.random.default_rng(seed)
     lower, upper = arm.robot.joint_limits

@@ -140,7 +140,7 @@ def _cost(
     limits = _limits(args, dynamics)
     problem = limited_network_ocp(dynamics, family, horizon, limits)
     psi0 = family.initial(horizon, dynamics.n_z, np.full((horizon, dynamics.n_z), 10.0))
-    history = learn_on(problem, demonstration, psi0, args.iterations)
+    history = learn_on(problem, [demonstration], psi0, args.iterations)
     cost = replace(PlanningCost.of(family, history.psi, horizon, dynamics.n_z, CONVERGED), limits=limits)
     print(f"cost:    {write_planning_cost(args.out / 'cost.json', cost, dynamics)}")
     return cost, history

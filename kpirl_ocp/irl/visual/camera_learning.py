@@ -10,6 +10,7 @@ film, scaled; so a turn of the object is demonstrated, too.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,7 +69,7 @@ def path_distance(observations: Array, demonstrated: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CameraLearning:
-    """A learned cost, the history of learning, and how far from the demonstration its plan stays (`path_distance`)."""
+    """A learned cost, the history of learning, and how far its plan from the first start stays (`path_distance`)."""
 
     cost: LearnedCost
     history: LearningResult
@@ -76,19 +77,26 @@ class CameraLearning:
 
 
 def learn_in_image(
-    setting: ArmSetting, robot: Robot, demonstration: Demonstration, rate: float, iterations: int = 200
+    setting: ArmSetting, robot: Robot, demonstrations: Sequence[Demonstration], rate: float, iterations: int = 200
 ) -> CameraLearning:
     """Learn time-dependent weights and one effort weight by the implicit gradient of the converged plan, with L-BFGS.
 
-    rate: [Hz] of the demonstration's steps.
+    Args:
+        setting, robot: the arm.
+        demonstrations: the same way from one start or several; weights that fit one start alone may suit others less.
+            The cost takes its start and goal from the first.
+        rate: [Hz] of the demonstrations' steps.
+        iterations: of L-BFGS, at most.
 
-    Raises CertificateError if a gradient cannot be certified.
+    Raises:
+        CertificateError: a gradient cannot be certified.
     """
+    demonstration = demonstrations[0]
     horizon, n_z = len(demonstration.observations) - 1, demonstration.observations.shape[1]
     cost = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
     psi0 = cost.initial(horizon, n_z, np.ones((horizon, n_z)))
     problem = setting.problem(robot, cost, horizon)
-    result = learn_on(problem, demonstration, psi0, iterations)
+    result = learn_on(problem, demonstrations, psi0, iterations)
     start = demonstration.s0[n_z : n_z + robot.n_joints]
     way = demonstration.observations[-1] - demonstration.observations[0]
     learned = LearnedCost(cost, result.psi, horizon, _SOLVER, setting, start, way, rate)
@@ -96,7 +104,7 @@ def learn_in_image(
     return CameraLearning(learned, result, path_distance(plan.states[:, :n_z], demonstration.observations))
 
 
-def learn_on(problem: OCP, demonstration: Demonstration, psi0: Array, iterations: int) -> LearningResult:
+def learn_on(problem: OCP, demonstrations: Sequence[Demonstration], psi0: Array, iterations: int) -> LearningResult:
     """Learn with the implicit gradient, and begin again with a new memory where L-BFGS gets stuck, if that helps.
 
     Every plan starts cold, as those of the learned cost will: a plan that is continued from one psi to the next may
@@ -106,9 +114,9 @@ def learn_on(problem: OCP, demonstration: Demonstration, psi0: Array, iterations
 
     Raises CertificateError if a gradient cannot be certified.
     """
-    result = _learn(problem, demonstration, psi0, iterations)
+    result = _learn(problem, demonstrations, psi0, iterations)
     while (left := iterations + 1 - len(result.losses)) > 0:
-        more = _learn(problem, demonstration, result.psi, left)
+        more = _learn(problem, demonstrations, result.psi, left)
         stuck = more.loss > (1 - _PROGRESS) * result.loss
         result = LearningResult(
             psi=more.psi,
@@ -123,8 +131,8 @@ def learn_on(problem: OCP, demonstration: Demonstration, psi0: Array, iterations
     return result
 
 
-def _learn(problem: OCP, demonstration: Demonstration, psi0: Array, iterations: int) -> LearningResult:
-    found = learn(problem, [demonstration], psi0, Implicit(_SOLVER), LBFGS(), iterations, warm_start=False)
+def _learn(problem: OCP, demonstrations: Sequence[Demonstration], psi0: Array, iterations: int) -> LearningResult:
+    found = learn(problem, demonstrations, psi0, Implicit(_SOLVER), LBFGS(), iterations, warm_start=False)
     return found.raise_if_interrupted()
 
 
