@@ -6,8 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import OCP, Demonstration, GradientDescent, Implicit, Unrolled
-from kpirl_ocp.irl.hypergradients.smooth_graphs import is_smooth
+from kpirl_ocp import OCP, Demonstration, GradientDescent, Implicit, Riccati, Unrolled
+from kpirl_ocp.ocp.conditions.smooth_graphs import is_smooth
+from kpirl_ocp.ocp.conditions.structure import quadratic_program, smooth_problem
 from kpirl_ocp.ocp.problem import DynamicsDerivatives
 
 S, U, P = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("p")
@@ -221,3 +222,74 @@ def test_derivatives_of_other_dynamics_are_not_certified(factor, certified):
     certificate = Unrolled(GradientDescent(5, 0.1), policy="flag")(problem, seen, [0.5]).certificate
     assert certificate.certified is certified
     assert certified or "own derivatives are not those of its dynamics" in str(certificate)
+
+
+def other_derivatives(factor):
+    """A problem that brings derivatives of its dynamics with the curvature of others."""
+    problem, other = (
+        OCP.from_expressions(**PLAIN | {"dynamics": S + share * ca.sin(U)}, stage_cost=(U - P) ** 2 + S**2)
+        for share in (1.0, factor)
+    )
+    return replace(problem, derivatives=DynamicsDerivatives.by_ad(other.transition))
+
+
+@pytest.mark.parametrize("factor", [1.01, 1.0 + 1e-8])
+def test_problems_that_bring_derivatives_of_other_dynamics_are_not_taken_for_smooth(factor):
+    assert smooth_problem(other_derivatives(1.0))
+    assert not smooth_problem(other_derivatives(factor))
+
+
+@pytest.mark.parametrize(("factor", "certified"), [(1.0, True), (1.001, False)])
+def test_implicit_gradients_with_derivatives_of_other_dynamics_are_not_certified(factor, certified):
+    found = certificate_of(other_derivatives(factor), 0.5, (0.0, 0.3, 0.4))
+    assert found.certificate.certified is certified
+    assert certified or "own derivatives are not those of its dynamics" in str(found.certificate)
+
+
+FAR = ca.fmax(U - 1e3, 0)  # never met; the operation is no smooth one
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        {"dynamics": S + U, "stage_cost": (U - P) ** 2 + S**2, "action_bounds": (-0.1, np.inf)},
+        {"dynamics": S + ca.sin(U), "stage_cost": (U - P) ** 2 + ca.cosh(S)},
+        {"dynamics": S + ca.tanh(U * P), "stage_cost": U**2 + (S - P) ** 2},
+    ],
+    ids=["quadratic", "sine", "tanh"],
+)
+def test_implicit_gradients_of_smooth_problems_are_those_that_tests_for_kinks_confirm(problem):
+    smooth = OCP.from_expressions(**PLAIN | problem)
+    tested = OCP.from_expressions(**PLAIN | problem | {"stage_cost": problem["stage_cost"] + FAR})
+    at_once, confirmed = (certificate_of(each, 0.7, (0.0, 0.3, 0.4)) for each in (smooth, tested))
+    assert at_once.certificate.certified
+    assert confirmed.certificate.certified
+    assert at_once.certificate.kink == 0 < confirmed.certificate.kink < 1e-5
+    np.testing.assert_allclose(at_once.gradient, confirmed.gradient, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changed", "quadratic"),
+    [
+        ({}, True),
+        ({"dynamics": P * S + U}, True),
+        ({"path_constraint": S - P * U}, True),
+        ({"terminal_cost": ca.exp(P) * S**2}, False),  # in doubt: no polynomial
+        ({"stage_cost": S**2 * U}, False),
+        ({"dynamics": S + U * S}, False),
+        ({"path_constraint": S * S - 1}, False),
+        ({"terminal_equality": S * S - 1}, False),
+    ],
+    ids=str,
+)
+def test_a_problem_is_a_quadratic_program_where_costs_are_quadratic_and_all_else_is_affine(changed, quadratic):
+    problem = OCP.from_expressions(**PLAIN | {"stage_cost": (U - P) ** 2 + P * S * U, "terminal_cost": S**2} | changed)
+    assert quadratic_program(problem) is quadratic
+
+
+def test_the_adjoint_of_a_quadratic_program_is_the_same_beside_its_solution():
+    problem = OCP.from_expressions(**PLAIN, stage_cost=(U - P) ** 2 + S**2, action_bounds=(-0.1, np.inf))
+    found = certificate_of(problem, 0.7, (0.0, 0.3, 0.4))
+    assert found.certificate.change == 0
+    smoothed = certificate_of(problem, 0.7, (0.0, 0.3, 0.4), solver=Riccati().with_barrier(1e-3))
+    assert 0 < smoothed.certificate.change < 1e-4

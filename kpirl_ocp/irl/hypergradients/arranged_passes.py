@@ -7,6 +7,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from kpirl_ocp.ocp.conditions.structure import same_numbers
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.trajectory_passes import TrajectoryPasses
@@ -14,7 +15,6 @@ from kpirl_ocp.types import Array
 
 _STEPS = 2
 _SIZE = 0.5  # of the random numbers: a network does not saturate there
-_ROUNDING = 1e-9
 
 
 @lru_cache(maxsize=64)
@@ -30,11 +30,7 @@ def passes_agree(problem: OCP, columns: int) -> bool:
         _values(problem, derivatives.passes(_STEPS, columns), columns)
         for derivatives in (problem.derivatives, DynamicsDerivatives.by_ad(problem.transition))
     )
-    finite = np.isfinite(known)
-    if (np.isfinite(given) != finite).any():
-        return False
-    size = np.abs(known[finite]).max(initial=0.0)
-    return bool(np.abs(given[finite] - known[finite]).max(initial=0.0) <= _ROUNDING * size)
+    return same_numbers(given, known)
 
 
 def _values(problem: OCP, passes: TrajectoryPasses, columns: int) -> Array:

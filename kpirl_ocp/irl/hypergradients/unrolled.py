@@ -27,16 +27,16 @@ from kpirl_ocp.irl.hypergradients.certificate import (
     nonfinite_failures,
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
-from kpirl_ocp.irl.hypergradients.smooth_graphs import is_smooth
 from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.irl.hypergradients.unrolled_slopes import Descents
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_function
+from kpirl_ocp.ocp.conditions.smooth_graphs import is_smooth
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
-from kpirl_ocp.ocp.sensitivity.certificate import KINK, Certificate, Policy, check_policy
+from kpirl_ocp.ocp.sensitivity.certificate import KINK, WRONG_DERIVATIVES, Certificate, Policy, check_policy
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, audited, check_constraints
 from kpirl_ocp.types import Array, Demonstration, Solution
 
@@ -53,7 +53,6 @@ _CLEAR = 1e-6
 _STEADY = 100.0
 # Growth of the adjoint back over the steps, and so of rounding along them, that leaves less than eight digits.
 _GROWTH = 1e8
-_WRONG_DERIVATIVES = "The problem's own derivatives are not those of its dynamics: correct them, or leave them out."
 _STEPS_KINK = (
     "The steps end on a kink or cross one: the loss has other slopes beside psi than this gradient. "
     "Use smooth costs and dynamics (squares, softplus, tanh)."
@@ -187,7 +186,7 @@ def unrolled_gradients(
         _sweep(problem, solver, last, psi, context, output)
         for (_, psi, context), output in zip(inputs, outputs.reshape(len(inputs), -1), strict=True)
     ]
-    wrong = () if passes_agree(problem, len(inputs)) else (_WRONG_DERIVATIVES,)
+    wrong = () if passes_agree(problem, len(inputs)) else (WRONG_DERIVATIVES,)
     smooth = all(_smooth(problem, loss, sweep.clear) for sweep in sweeps)
     if smooth and last == solver.steps and all(sweep.certificate.remainder <= _STEADY for sweep in sweeps):
         return [sweep.result(0.0, wrong) for sweep in sweeps]

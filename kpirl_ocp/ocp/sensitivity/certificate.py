@@ -7,12 +7,14 @@ constraints (LICQ), strict complementarity and a positive reduced Hessian. All o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
 
 from kpirl_ocp.errors import CertificateError, ProblemError
+from kpirl_ocp.ocp.conditions.structure import own_derivatives_agree
+from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.pictures import card, draw, svg
 from kpirl_ocp.types import Mask, Solution, Status
 
@@ -29,6 +31,7 @@ CHANGE = 1e-4
 KINK = 1e-3
 LINEAR_RESIDUAL = 1e-8
 DISTANCE = 1e-4  # of what a solver calls as exact as rounding lets it be
+WRONG_DERIVATIVES = "The problem's own derivatives are not those of its dynamics: correct them, or leave them out."
 _SOLVED = (Status.CONVERGED, Status.ACCEPTABLE)  # the KKT residual has a bound of its own
 
 
@@ -81,9 +84,11 @@ class SensitivityCertificate(Certificate):
     margin: smallest multiplier of an active and slack of an inactive row after that step (strict complementarity), each
         relative to what it balances or is made of; infinite without inequalities.
     change: relative change under that step of the adjoint; for a tangent, of the adjoint of a function whose slope it
-        is. Is the solution close enough to differentiate?
+        is. Is the solution close enough to differentiate? Zero for quadratic programs, whose second derivatives are
+        the same everywhere.
     kink: relative disagreement of derivatives, along the adjoint or the tangent and along psi, s_0 and the context,
-        with differences to either side: is the problem smooth here?
+        with differences to either side: is the problem smooth here? Zero where costs, dynamics and constraints are
+        smooth by their operations.
     linear_residual: of the adjoint or tangent system, relative.
     active: (n_rows,) bool; rows as in `sensitivity.rows.rows_of`: bounds, path constraints, then equalities.
     barrier: tau; above zero the derivative is that of the smoothed problem.
@@ -132,13 +137,17 @@ def certified(solution: Solution, active: Mask, evidence: Mapping[str, float]) -
 
 
 def judged(
-    policy: str, solution: Solution, active: Mask, evidence: Mapping[str, float] | None
+    policy: str, problem: OCP, solution: Solution, active: Mask, evidence: Mapping[str, float] | None
 ) -> SensitivityCertificate:
     """The certificate of measurements, or of none where derivatives are not finite.
+
+    Derivatives that the problem brings have to be those of its dynamics.
 
     Raises CertificateError if it does not certify and the policy is not "flag".
     """
     found = undefined(solution, active) if evidence is None else certified(solution, active, evidence)
+    if not own_derivatives_agree(problem):
+        found = replace(found, failures=(*found.failures, WRONG_DERIVATIVES))
     require(policy, found)
     return found
 

@@ -71,7 +71,7 @@ class _Pull:
     def gradients(self, answer: Any, policy: Policy) -> Gradients:
         """With the evidence that was found. Raises CertificateError as `pull_each` does."""
         evidence = fields_of(answer.evidence) if answer.finite else None
-        certificate = judged(policy, self._solution, self._active != 0, evidence)
+        certificate = judged(policy, self._problem, self._solution, self._active != 0, evidence)
         if evidence is None:
             return Gradients.undefined(self._problem, certificate)
         return Gradients.of_plan(self._problem, self._slope, self._found, certificate)

@@ -178,7 +178,7 @@ class Sensitivity:
         return at
 
     def _certificate(self, at: Workspace, evidence: Mapping[str, float] | None) -> SensitivityCertificate:
-        return judged(self.policy, self.solution, at.system.active, evidence)
+        return judged(self.policy, self.problem, self.solution, at.system.active, evidence)
 
 
 class Workspace:

@@ -13,12 +13,12 @@
 #include <string.h>
 
 static const real EXACT = (real)1e-13; /* relative residual at which refinement stops */
-enum { REFINEMENTS = 12 };
+static const real NEARLY = (real)1e-11; /* and that is near enough to it */
 
 /* ---- gradients ----------------------------------------------------------------------------------------------------- */
 
-real kpirl_mpc_kkt_solve(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *right, kpirl_mpc_triple *point) {
-  return kpirl_mpc_system_solve(&k->system, right, EXACT, REFINEMENTS, point);
+real kpirl_mpc_kkt_solve(kpirl_mpc_kkt *k, const kpirl_mpc_triple *right, kpirl_mpc_triple *point) {
+  return kpirl_mpc_kkt_refine(k, right, EXACT, NEARLY, point);
 }
 
 real kpirl_mpc_kkt_adjoint(kpirl_mpc_kkt *k, const real *slope) {
@@ -47,8 +47,9 @@ void kpirl_mpc_kkt_pull(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *functi
   kpirl_mpc_rows_times(s, adjoint->x, values);
   for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) adjoint->forces[i] += s->sigma[i] * values[i];
   if (k->dimensions.n_parameters + k->dimensions.n_context == 0) return;
-  if (kpirl_mpc_weigh(k, function, adjoint, k->numbers.psi, k->numbers.context, by->psi, by->context))
-    for (i = 0; i < k->dimensions.n_parameters; ++i) by->psi[i] = (real)NAN;
+  if (!kpirl_mpc_weigh(k, function, adjoint, k->numbers.psi, k->numbers.context, by->psi, by->context)) return;
+  for (i = 0; i < k->dimensions.n_parameters; ++i) by->psi[i] = (real)NAN;
+  for (i = 0; i < k->dimensions.n_context; ++i) by->context[i] = (real)NAN;
 }
 
 static void negate(real *values, int count) {
@@ -61,13 +62,26 @@ static void negate(real *values, int count) {
 /* How the adjoint of a slope changes where a Newton step leads to. */
 static real find_change(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const real *slope,
                         const kpirl_mpc_triple *adjoint) {
+  const int same = k->rows->quadratic && !(k->barrier > 0); /* is the system the same wherever the step leads? */
   if (!k->reached) {
     kpirl_mpc_kkt_reach(k, nearby);
-    kpirl_mpc_kkt_evaluate(nearby, core);
-    kpirl_mpc_kkt_select_nearby(nearby, k->system.active);
+    if (!same) {
+      kpirl_mpc_kkt_evaluate(nearby, core);
+      kpirl_mpc_kkt_select_nearby(nearby, k->system.active);
+    }
   }
+  if (same) return 0;
   kpirl_mpc_copy_triple(&k->system, adjoint, &nearby->adjoint);
   return kpirl_mpc_kkt_change(k, nearby, slope, &nearby->adjoint);
+}
+
+/* Functions that are smooth by their operations have none where their derivatives by the parameters are numbers. */
+static real find_kink(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_weighted *function, const real *direction,
+                      const kpirl_mpc_triple *weights, const kpirl_mpc_by_parameters *by) {
+  const int known = kpirl_mpc_all_finite(by->psi, k->dimensions.n_parameters) &&
+                    kpirl_mpc_all_finite(by->context, k->dimensions.n_context);
+  if (k->rows->smooth) return known ? 0 : (real)INFINITY;
+  return kpirl_mpc_worse(kpirl_mpc_kink_along(k, core, direction), kpirl_mpc_kink_in_parameters(k, core, function, weights, by));
 }
 
 void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
@@ -76,8 +90,8 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
   const int n_w = kpirl_mpc_system_n_point(&k->system);
   kpirl_mpc_triple *adjoint = &k->adjoint;
   int finite;
-  kpirl_mpc_kkt_condition(k);
   evidence->linear_residual = kpirl_mpc_kkt_adjoint(k, slope);
+  kpirl_mpc_kkt_condition(k);
   evidence->distance = k->distance;
   evidence->curvature = k->lowest;
   evidence->qualification = k->qualification;
@@ -88,10 +102,9 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
     evidence->change = find_change(k, nearby, core, slope, adjoint);
     evidence->step = k->step;
     evidence->margin = k->margin;
-    evidence->kink = kpirl_mpc_kink_along(k, core, direction ? direction : adjoint->x);
   }
   kpirl_mpc_kkt_pull(k, function, adjoint, by);
-  if (finite) evidence->kink = kpirl_mpc_worse(evidence->kink, kpirl_mpc_kink_in_parameters(k, core, function, adjoint, by));
+  if (finite) evidence->kink = find_kink(k, core, function, direction ? direction : adjoint->x, adjoint, by);
   negate(by->psi, k->dimensions.n_parameters);
   negate(by->s0, k->system.n_states);
   negate(by->context, k->dimensions.n_context);

@@ -97,7 +97,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
 
 /* ---- derivatives --------------------------------------------------------------------------------------------- */
 
-static void forget(kpirl_mpc_kkt *k) { k->factored = k->conditioned = k->stepped = k->reached = 0; }
+static void forget(kpirl_mpc_kkt *k) { k->factored = k->borrowed = k->conditioned = k->stepped = k->reached = 0; }
 
 /* Both triangles of the Hessian into `place`: products with them take a quarter of the time. */
 static const real *take_hessian(const kpirl_mpc_system *s, const real *lower, real *place) {
@@ -217,6 +217,12 @@ int kpirl_mpc_kkt_select(kpirl_mpc_kkt *k, const real *active) {
   smooth(k);
   find_pushing(k);
   kpirl_mpc_find_roots(k);
+  return all_finite(k);
+}
+
+int kpirl_mpc_kkt_select_again(kpirl_mpc_kkt *k) {
+  smooth(k);
+  find_pushing(k);
   return all_finite(k);
 }
 

@@ -11,6 +11,8 @@
 /* The m constraints of a problem but its dynamics: finite lower bounds, finite upper bounds, h and h_T, e and e_T. */
 typedef struct kpirl_mpc_rows {
   int n_free, n_bounds, n_decisions;
+  int smooth;                            /* are all functions smooth by their operations? */
+  int quadratic;                         /* are second derivatives by x, and those of constraints, the same at every x? */
   const int *free, *entries, *decisions; /* as in kpirl_mpc_system */
   const int *inequality, *equality;      /* (m) 1 for rows that may be active or not, and for those that always are */
   const int *other;                      /* (n_bounds) the row of the other side, or the row itself where that is not bounded */
@@ -72,6 +74,7 @@ typedef struct kpirl_mpc_kkt {
   real step, margin;          /* kpirl_mpc_kkt_step, kpirl_mpc_kkt_reach */
   real distance;              /* kpirl_mpc_kkt_polish */
   int evaluated, factored, immovable, conditioned, stepped, reached; /* what is known; immovable: does no decision move some active row? */
+  int borrowed; /* are the factors those of a point close by? */
 } kpirl_mpc_kkt;
 
 /* A solution as arrays that are by rows, one row per stage: S (T+1, n_s), U (T, n_u), and the multipliers of the dynamics (T, n_s), of
@@ -118,12 +121,19 @@ int kpirl_mpc_kkt_select(kpirl_mpc_kkt *kkt, const real *active);
 int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_solution *solution,
                             const kpirl_mpc_view *derivatives);
 
+/* The same where the point has moved so little that sizes, active rows and roots stay. */
+int kpirl_mpc_kkt_select_again(kpirl_mpc_kkt *kkt);
+
 /* Sizes, stiffness and active rows as elsewhere: enough for kpirl_mpc_kkt_change. */
 void kpirl_mpc_kkt_select_nearby(kpirl_mpc_kkt *kkt, const real *active);
 
 /* Factors; and lowest, softest and qualification; unless they are known. */
 void kpirl_mpc_kkt_factor(kpirl_mpc_kkt *kkt);
 void kpirl_mpc_kkt_condition(kpirl_mpc_kkt *kkt);
+
+/* Solve by refinement until the relative residual is `enough` or meets the rounding; returns it. Factors that are those of a point
+ * close by are renewed where they leave more than what is `needed`. */
+real kpirl_mpc_kkt_refine(kpirl_mpc_kkt *kkt, const kpirl_mpc_triple *right, real enough, real needed, kpirl_mpc_triple *point);
 
 /* The Newton step on the conditions with this active set, kkt->move, and its length in the decisions, relative to their sizes,
  * kkt->step; unless they are known. */
@@ -162,7 +172,7 @@ int kpirl_mpc_weigh(const kpirl_mpc_kkt *kkt, const kpirl_mpc_weighted *function
 
 /* x, lambda and mu for a right-hand side; returns the relative residual. A singular reduced Hessian divides by zero: infinities
  * and NaN come out, and kkt->lowest says why. */
-real kpirl_mpc_kkt_solve(const kpirl_mpc_kkt *kkt, const kpirl_mpc_triple *right, kpirl_mpc_triple *point);
+real kpirl_mpc_kkt_solve(kpirl_mpc_kkt *kkt, const kpirl_mpc_triple *right, kpirl_mpc_triple *point);
 
 /* The solution for (slope, 0, 0), kkt->adjoint; returns its relative residual. */
 real kpirl_mpc_kkt_adjoint(kpirl_mpc_kkt *kkt, const real *slope);

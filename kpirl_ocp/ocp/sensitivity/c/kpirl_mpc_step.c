@@ -10,6 +10,7 @@ static const real KNOWN = (real)1e-9;   /* relative accuracy to which no solutio
 static const real ROUGHLY = (real)1e-6; /* relative residual of a Newton step, enough to tell how far the solution is */
 static const real CLOSE = (real)1e-8;   /* a step that is no longer needs no other */
 static const real FAR = (real)1e-2;     /* a longer one does not start at a solution */
+static const real SHORT = (real)1e-5;   /* after a shorter one the factors still solve, with some refinement */
 static const real SHORTER = (real)0.1;  /* share of a step that the next one has at most where the method converges */
 enum { REFINEMENTS = 12, STEPS = 4 };
 
@@ -69,6 +70,7 @@ void kpirl_mpc_kkt_factor(kpirl_mpc_kkt *k) {
   if (k->factored) return;
   k->immovable = kpirl_mpc_system_factor(&k->system, k->rows->normal);
   k->factored = 1;
+  k->borrowed = 0;
 }
 
 void kpirl_mpc_kkt_condition(kpirl_mpc_kkt *k) {
@@ -78,6 +80,16 @@ void kpirl_mpc_kkt_condition(kpirl_mpc_kkt *k) {
   find_lowest(k, n_active);
   k->qualification = find_qualification(k, n_active);
   k->conditioned = 1;
+}
+
+real kpirl_mpc_kkt_refine(kpirl_mpc_kkt *k, const kpirl_mpc_triple *right, real enough, real needed, kpirl_mpc_triple *point) {
+  real error;
+  kpirl_mpc_kkt_factor(k);
+  error = kpirl_mpc_system_solve(&k->system, right, enough, REFINEMENTS, point);
+  if (error <= needed || !k->borrowed) return error;
+  k->factored = 0;
+  kpirl_mpc_kkt_factor(k);
+  return kpirl_mpc_system_solve(&k->system, right, enough, REFINEMENTS, point);
 }
 
 /* ---- the Newton step ---------------------------------------------------------------------------------------------- */
@@ -105,10 +117,9 @@ static real size_of_decisions(const kpirl_mpc_system *s) {
 void kpirl_mpc_kkt_step(kpirl_mpc_kkt *k) {
   kpirl_mpc_triple right;
   if (k->stepped) return;
-  kpirl_mpc_kkt_factor(k);
   kpirl_mpc_place_triple(&k->system, k->work, &right);
   newton_right(k, &right);
-  kpirl_mpc_system_solve(&k->system, &right, ROUGHLY, REFINEMENTS, &k->move);
+  kpirl_mpc_kkt_refine(k, &right, ROUGHLY, ROUGHLY, &k->move);
   k->step = kpirl_mpc_decision_norm(&k->system, k->move.x) / size_of_decisions(&k->system);
   k->stepped = 1;
 }
@@ -141,10 +152,14 @@ static int inside(const kpirl_mpc_kkt *k) {
   return 1;
 }
 
-/* Stand at the point, with the same active rows; returns whether that is a place to be. */
-static int stand_again(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
+/* Stand at the point, with the same active rows, and with the same factors and units where it is `close` to the last; returns
+ * whether that is a place to be. */
+static int stand_again(kpirl_mpc_kkt *k, kpirl_mpc_core *core, int close) {
+  int finite;
   kpirl_mpc_kkt_evaluate(k, core);
-  return kpirl_mpc_kkt_select(k, k->system.active) && inside(k);
+  finite = close ? kpirl_mpc_kkt_select_again(k) : kpirl_mpc_kkt_select(k, k->system.active);
+  k->factored = k->borrowed = close;
+  return finite && inside(k);
 }
 
 /* Go along the step if the next one is much shorter, else stay; returns whether it went. */
@@ -154,13 +169,13 @@ static int follow_step(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
   int shorter = 0;
   copy_point(&k->system, &k->point, before);
   after_step(k, &k->point);
-  if (stand_again(k, core)) {
+  if (stand_again(k, core, step <= SHORT)) {
     kpirl_mpc_kkt_step(k);
     shorter = k->step <= SHORTER * step;
   }
   if (!shorter) {
     copy_point(&k->system, before, &k->point);
-    stand_again(k, core);
+    stand_again(k, core, 0);
     kpirl_mpc_kkt_step(k);
   }
   return shorter;

@@ -6,13 +6,9 @@
 
 #include <string.h>
 
-int kpirl_mpc_system_n_point(const kpirl_mpc_system *s) { return s->horizon * (s->n_states + s->n_actions) + s->n_states; }
-
 static int n_path(const kpirl_mpc_system *s) { return s->horizon * s->n_path + s->n_terminal; }
 
 static int n_equality(const kpirl_mpc_system *s) { return s->horizon * s->n_equality + s->n_terminal_equality; }
-
-int kpirl_mpc_system_n_rows(const kpirl_mpc_system *s) { return s->n_bounds + n_path(s) + n_equality(s); }
 
 int kpirl_mpc_system_inner_scratch(const kpirl_mpc_system *s) {
   const int n_s = s->n_states, n_x = n_s + s->n_actions, n_w = kpirl_mpc_system_n_point(s);

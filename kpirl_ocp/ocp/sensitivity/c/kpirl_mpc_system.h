@@ -45,8 +45,14 @@ typedef struct kpirl_mpc_triple {
   real *x, *costates, *forces, *start;
 } kpirl_mpc_triple;
 
-int kpirl_mpc_system_n_point(const kpirl_mpc_system *system);
-int kpirl_mpc_system_n_rows(const kpirl_mpc_system *system);
+static inline int kpirl_mpc_system_n_point(const kpirl_mpc_system *s) {
+  return s->horizon * (s->n_states + s->n_actions) + s->n_states;
+}
+
+static inline int kpirl_mpc_system_n_rows(const kpirl_mpc_system *s) {
+  return s->n_bounds + s->horizon * (s->n_path + s->n_equality) + s->n_terminal + s->n_terminal_equality;
+}
+
 int kpirl_mpc_system_n_triple(const kpirl_mpc_system *system);
 int kpirl_mpc_system_scratch(const kpirl_mpc_system *system);
 
