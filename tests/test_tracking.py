@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 pytest.importorskip("av")
 pytest.importorskip("cv2")
@@ -327,7 +328,8 @@ def test_the_film_and_the_sheet_show_the_tracks(tmp_path):
     assert [image.shape for image in drawn] == [(HEIGHT, WIDTH, 3)] * 6
     x, y = tracks.positions[-1, 0].round().astype(int)
     assert tuple(drawn[-1][y, x]) == (0, 114, 178)  # the first colour
-    assert track_sheet(tmp_path / "sheet.png", frames, tracks, [0, 5]).stat().st_size > 1000
+    height, width, _ = imread(track_sheet(tmp_path / "sheet.png", frames, tracks, [0, 5])).shape
+    assert width / height == pytest.approx(6.0 / (3.0 * HEIGHT / WIDTH + 0.3), rel=0.01)  # two frames, no empty places
     found = list(iterate_frames(track_film(tmp_path / "film.mp4", frames, tracks)))
     assert len(found) == 6
 

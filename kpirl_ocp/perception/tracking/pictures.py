@@ -74,10 +74,11 @@ def track_film(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Track
 
 def track_sheet(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Tracks, chosen: Sequence[int]) -> Path:
     """Write a picture of the chosen frames, each with the keypoints' way so far, its time and the mean confidence."""
-    rows = -(-len(chosen) // _COLUMNS)
+    columns = min(_COLUMNS, len(chosen))
+    rows = -(-len(chosen) // columns)
     width, height = tracks.size
-    figure = Figure(figsize=(3.0 * _COLUMNS, (3.0 * height / width + 0.3) * rows), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(rows, _COLUMNS, squeeze=False)).ravel()
+    figure = Figure(figsize=(3.0 * columns, (3.0 * height / width + 0.3) * rows), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
     images = at_times(frames, tracks.times[list(chosen)])
     for axis, index, image in zip(axes, chosen, images, strict=False):
         axis.imshow(image, extent=(0, width, height, 0))
