@@ -14,7 +14,7 @@ import pytest
 from problems import integrator
 from statements import S, U, state
 
-from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Riccati, Status, Trajectory
+from kpirl_ocp import OCP, SQP, Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
 
 SOLVERS = [Ipopt(), Fatrop(), SQP()]
@@ -102,6 +102,13 @@ def test_fatrop_ends_within_its_time_limit(name):
     assert solver.solve(problem, [0.5, 0.5], guess=guess).status is status
     assert time.monotonic() - begun < 30  # it is ended, not late
     assert solver.solve(state(), [0.0, 0.0]).status is Status.CONVERGED  # and begins again
+
+
+@pytest.mark.parametrize("solver", [Riccati(), Ipopt(), Fatrop(), SQP(), GradientDescent(3, 0.1)], ids=str)
+def test_an_infinite_cost_with_a_zero_gradient_is_not_finite(solver):
+    solution = solver.solve(state(stage_cost=ca.sumsqr(S) / 0 + U**2), [0.5, 0.5])
+    assert solution.status is Status.NOT_FINITE
+    assert not np.isfinite(solution.objective)
 
 
 def test_fatrop_answers_with_a_status_where_the_dynamics_leave_their_domain():

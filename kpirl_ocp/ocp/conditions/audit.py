@@ -27,10 +27,10 @@ from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Trajectory, larges
 def audit(
     problem: OCP, psi: Array, context: Array, trajectory: Trajectory, multipliers: Multipliers, barrier: float = 0.0
 ) -> KKTResiduals:
-    """Measure the first-order conditions at a point; NaN in any function gives NaN residuals."""
+    """Measure the first-order conditions at a point; a function that is not finite there gives NaN residuals."""
     program, bounds = transcribe(problem), BoundRows.of(*limits(problem))
     w, lam, mu = pack(trajectory), equality_multipliers(multipliers), inequality_multipliers(multipliers)
-    _, g_E, g_I = (value.full().ravel() for value in program.values(w, psi, context))
+    objective, g_E, g_I = (value.full().ravel() for value in program.values(w, psi, context))
     cost_gradient, gradient = (value.full().ravel() for value in program.first(w, psi, context, lam, mu))
     rows, decided = Inequalities.at(bounds, w, g_I), ~given(problem)
     forces, unequal = rows.forces(bound_multipliers(multipliers), mu, barrier), ~rows.equal
@@ -38,7 +38,7 @@ def audit(
     with np.errstate(invalid="ignore", over="ignore"):
         products = forces * rows.slack - barrier
     return KKTResiduals(
-        stationarity=largest((gradient + push)[decided]),
+        stationarity=largest((gradient + push)[decided]) if np.isfinite(objective).all() else np.nan,
         feasibility=largest(np.concatenate([g_E, np.minimum(rows.slack, 0.0)])),
         complementarity=largest(products[unequal]),
         sign=largest(np.minimum(forces, 0.0)[unequal]),

@@ -94,10 +94,11 @@ class Ipopt:
             audit(problem, psi, context, trajectory, multipliers, self.barrier),
             str(stats["return_status"]),
         )
+        (objective, *_) = transcribe(problem).values(w, psi, context)
         return Solution(
             trajectory=trajectory,
             multipliers=multipliers,
-            objective=float(result["f"]),
+            objective=float(objective),  # Ipopt says 0 where it is not finite
             residuals=residuals,
             status=self._status(word, residuals.worst),
             iterations=min(max(int(str(stats["iter_count"])), 0), self.max_iterations),  # unset when it never started

@@ -182,7 +182,8 @@ static int call_solver(kpirl_mpc *mpc) {
 
 static kpirl_mpc_status end(const kpirl_mpc *mpc, const kpirl_mpc_solution *solution) {
   const kpirl_mpc_workspace *work = &mpc->work;
-  if (!kpirl_mpc_all_finite(work->w, NW) || !isfinite(solution->residual)) return KPIRL_MPC_NOT_FINITE;
+  const int finite = isfinite(solution->objective) && isfinite(solution->residual);
+  if (!finite || !kpirl_mpc_all_finite(work->w, NW)) return KPIRL_MPC_NOT_FINITE;
   if (solution->residual <= mpc->settings.tolerance) return KPIRL_MPC_CONVERGED;
   if (work->late) return KPIRL_MPC_TIME_LIMIT;
   return work->iterations >= mpc->settings.max_iterations ? KPIRL_MPC_ITERATION_LIMIT : KPIRL_MPC_STALLED;
