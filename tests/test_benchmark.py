@@ -1,6 +1,9 @@
 """The benchmark: all contenders compute the same, operations are counted right, and verdicts follow from numbers."""
 
 import importlib
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +28,14 @@ def bench(monkeypatch):
     for module in (gradient_descent, unrolled, *ours):
         monkeypatch.setattr(module, "compiled", lambda function: function)
     return lambda name: importlib.import_module(f"bench.{name}")
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="processes cannot be tied to cores here")
+def test_modules_of_the_benchmark_leave_the_process_its_cores():
+    before = sorted(os.sched_getaffinity(0))
+    code = "import os, bench.suite; print(sorted(os.sched_getaffinity(0)))"
+    found = subprocess.run([sys.executable, "-c", code], cwd=SCRIPTS, capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == str(before)
 
 
 def random_data(bench, activation, count=1):

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from bench import one_thread  # noqa: F401  before anything that starts threads
+from bench import one_thread  # before anything that starts threads
 
 # isort: split
 from bench import (
@@ -85,6 +85,7 @@ def failures(names: list[str], tables: dict[str, list[Table]], where: Path) -> N
 
 
 def main(args: Namespace) -> None:
+    one_thread.on_one_core()
     before, numbers = machine.describe(), dict[str, dict]()
     with (
         tempfile.TemporaryDirectory() as cache,
