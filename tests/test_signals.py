@@ -103,7 +103,7 @@ def test_learning_that_was_interrupted_is_not_taken_for_done():
     with pytest.raises(KeyboardInterrupt):
         result.raise_if_interrupted()
     with pytest.raises(KeyboardInterrupt):
-        learn_on(lqr.problem, lqr.demonstration, lqr.psi, iterations=3)
+        learn_on(lqr.problem, [lqr.demonstration], lqr.psi, iterations=3)
     with pytest.raises(KeyboardInterrupt):
         learn_with_each(unconstrained(lqr), [1, 2], 3, 0.01)
 
