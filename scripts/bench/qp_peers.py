@@ -107,6 +107,7 @@ def _crocoddyl(case: ControlProblem, tolerance: float) -> Peer:
         return model
 
     shooting = crocoddyl.ShootingProblem(case.s0, [stage(H[:n_s, :n_s])] * problem.horizon, stage(H[-n_s:, -n_s:]))
+    shooting.nthreads = 1  # it takes the cores that it saw at its start
     solver = crocoddyl.SolverBoxFDDP(shooting)
     solver.th_stop = tolerance**2
     states, actions = [case.s0] * (problem.horizon + 1), [np.zeros(n_u)] * problem.horizon
