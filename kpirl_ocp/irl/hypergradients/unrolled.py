@@ -32,7 +32,7 @@ from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.irl.hypergradients.unrolled_slopes import Descents
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_function
-from kpirl_ocp.ocp.conditions.smooth_graphs import is_smooth
+from kpirl_ocp.ocp.conditions.polynomials import is_affine_in, is_quadratic
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
@@ -47,19 +47,15 @@ _REMAINDER = 1e-9
 # Clearance from kinks of the dynamics beyond which slopes to both sides of psi, taken over as much of psi, show none;
 # times what the steps enlarge differences by.
 _CLEAR = 1e-6
-# Growth of the adjoint back over the steps up to which smooth functions make a loss that is smooth around psi: within
+# Growth of the adjoint back over the steps up to which quadratic costs make a loss that is smooth around psi: within
 # 1e-6 of it, slopes change by some 1e-6 times the growth. Steps that enlarge differences more may be chaotic: exact
 # derivatives then hold within 1e-11 of psi, say, and tell nothing.
 _STEADY = 100.0
 # Growth of the adjoint back over the steps, and so of rounding along them, that leaves less than eight digits.
 _GROWTH = 1e8
 _STEPS_KINK = (
-    "The steps end on a kink or cross one: the loss has other slopes beside psi than this gradient. "
-    "Use smooth costs and dynamics (squares, softplus, tanh)."
-)
-_STEPS_BEND = (
-    "The steps diverge: the loss has other slopes beside psi than this gradient, though all functions are smooth. "
-    "Take smaller steps (`step_size`), or another guess."
+    "The steps end on a kink or cross one, or they diverge: the loss has other slopes beside psi than this gradient. "
+    "Use smooth costs and dynamics (squares, softplus, tanh), smaller steps (`step_size`), or another guess."
 )
 
 
@@ -74,8 +70,9 @@ class UnrolledCertificate(Certificate):
     kink: relative difference between the gradient and the slopes of the loss to both sides, along one fixed random
         direction of psi, from steps taken again at psi beside; what curvature explains is left out. It also measures
         what truncation left out. Zero, and not measured, where the steps enlarge differences (`remainder`) at most
-        100 times, and all functions are smooth by their operations, but for the activations of a network whose
-        arguments stay clear of kinks at all iterates.
+        100 times, costs, observation and loss are quadratic, and the dynamics affine, or a network with ReLU whose
+        arguments stay clear of kinks at all iterates. That other functions have no kink is not enough: a sigmoid may be
+        as steep as a step.
     """
 
     steps: int
@@ -187,8 +184,8 @@ def unrolled_gradients(
         for (_, psi, context), output in zip(inputs, outputs.reshape(len(inputs), -1), strict=True)
     ]
     wrong = () if passes_agree(problem, len(inputs)) else (WRONG_DERIVATIVES,)
-    smooth = all(_smooth(problem, loss, sweep.clear) for sweep in sweeps)
-    if smooth and last == solver.steps and all(sweep.certificate.remainder <= _STEADY for sweep in sweeps):
+    straight = last == solver.steps and _quadratic(problem, loss) and all(sweep.steady for sweep in sweeps)
+    if straight and (_affine(problem) or all(sweep.clear for sweep in sweeps)):
         return [sweep.result(0.0, wrong) for sweep in sweeps]
     ends = [
         LossAt(problem, loss, data_of(loss, problem, demonstration), _plan(sweep.certificate.solution))
@@ -198,26 +195,29 @@ def unrolled_gradients(
     descents = Descents(problem, solver, loss, inputs[0][1], actions, starts, contexts, observed)
     kinks = descents.kinks(*map(np.array, found)).tolist()
     return [
-        sweep.result(
-            kink, (*wrong, *([] if smooth else sweep.kinks(problem, at))), _STEPS_BEND if smooth else _STEPS_KINK
-        )
+        sweep.result(kink, (*wrong, *at.kinks, *parameter_kinks(problem, sweep.certificate.solution)))
         for sweep, at, kink in zip(sweeps, ends, kinks, strict=True)
     ]
 
 
 @lru_cache(maxsize=64)
-def _smooth(problem: OCP, loss: Loss, clear: bool) -> bool:
-    """Is the map from psi to the loss a composition of smooth functions? The projection onto bounds is judged apart.
-
-    clear: have the dynamics no kink near the iterates?
-    """
+def _quadratic(problem: OCP, loss: Loss) -> bool:
+    """Are costs, observation and loss quadratic?"""
     stated = (problem.stage_cost, problem.terminal_cost, problem.observation, loss(problem))
-    smooth = all(is_smooth(function) for function in stated if function is not None)
-    return smooth and (clear or is_smooth(problem.dynamics))
+    return all(is_quadratic(function) for function in stated if function is not None)
+
+
+@lru_cache(maxsize=64)
+def _affine(problem: OCP) -> bool:
+    """Are the dynamics affine in states and actions, and at most quadratic in psi and the context?"""
+    return is_quadratic(problem.dynamics) and is_affine_in(problem.dynamics, [0, 1])
 
 
 class _Sweep(NamedTuple):
-    """One sweep back, before the slopes to both sides are known; clear: have the dynamics no kink near the iterates?"""
+    """One sweep back, before the slopes to both sides are known.
+
+    clear: are the dynamics a network whose activations are straight around all iterates?
+    """
 
     loss: float
     gradient: Array
@@ -230,16 +230,17 @@ class _Sweep(NamedTuple):
             size = abs(at.value) + np.abs(at.slopes) @ np.abs(_plan(self.certificate.solution))
             return float(size * max(1.0, self.certificate.remainder))
 
-    def kinks(self, problem: OCP, at: LossAt) -> list[str]:
-        """Sentences where the loss or a function of psi is not smooth at the plan."""
-        return at.kinks + parameter_kinks(problem, self.certificate.solution)
+    @property
+    def steady(self) -> bool:
+        """Do the steps enlarge differences but little?"""
+        return self.certificate.remainder <= _STEADY
 
-    def result(self, kink: float, wrong: tuple[str, ...], bent: str = _STEPS_KINK) -> HypergradientResult:
-        """With what else is wrong, and with the failure `bent` where the steps are not smooth."""
+    def result(self, kink: float, wrong: tuple[str, ...]) -> HypergradientResult:
+        """With what else is wrong, and with a failure where the steps are not smooth."""
         found = self.certificate
         failures = *found.failures, *wrong
         if not failures and not kink <= KINK:
-            failures = (bent,)
+            failures = (_STEPS_KINK,)
         if kink != found.kink or failures != found.failures:
             found = replace(found, kink=kink, failures=failures)
         return HypergradientResult(self.loss, self.gradient, found)

@@ -1,4 +1,4 @@
-"""The structure of a problem by the operations of its functions: is it smooth, is it a quadratic program?"""
+"""The structure of a problem: is it a quadratic program, and are derivatives that it brings its own?"""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.ocp.conditions.smooth_graphs import is_polynomial, is_smooth
+from kpirl_ocp.ocp.conditions.polynomials import is_affine_in, is_polynomial, is_quadratic_in
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
 from kpirl_ocp.ocp.problem.linearised_dynamics import depends_on_psi
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -18,45 +18,22 @@ _ROUNDING = 1e-9
 
 
 @lru_cache(maxsize=64)
-def smooth_problem(problem: OCP) -> bool:
-    """Are costs, dynamics and constraints smooth in all that they depend on, with derivatives that are theirs?
-
-    Then no plan, start, psi or context has a kink for a certificate to look for.
-    """
-    own = [] if problem.derivatives is None else [_linearised(problem, problem.derivatives)]
-    return all(map(is_smooth, _constraints(problem) + _costs(problem) + own)) and own_derivatives_agree(problem)
-
-
-@lru_cache(maxsize=64)
 def quadratic_program(problem: OCP) -> bool:
     """Is the cost quadratic and is all else affine in states and actions, so that second derivatives are constant?"""
-    constraints, costs = _constraints(problem), _costs(problem)
+    rows = problem.path_constraint, problem.path_equality, problem.terminal_inequality, problem.terminal_equality
+    constraints = [problem.dynamics, *(function for function in rows if function is not None)]
+    costs = [problem.stage_cost, problem.terminal_cost]
     return (
         problem.derivatives is None
         and all(map(is_polynomial, constraints + costs))
-        and not any(_bends(function, 0) for function in constraints)
-        and not any(_bends(function, 1) for function in costs)
+        and all(is_affine_in(function, _trajectory(function)) for function in constraints)
+        and all(is_quadratic_in(function, _trajectory(function)) for function in costs)
     )
 
 
-def _constraints(problem: OCP) -> list[ca.Function]:
-    rows = problem.path_constraint, problem.path_equality, problem.terminal_inequality, problem.terminal_equality
-    return [problem.dynamics, *(function for function in rows if function is not None)]
-
-
-def _costs(problem: OCP) -> list[ca.Function]:
-    return [problem.stage_cost, problem.terminal_cost]
-
-
-def _bends(function: ca.Function, derivatives: int) -> bool:
-    """Is the function, or its first derivative, more than affine in states and actions?"""
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
-    count = function.n_in() - 3  # s, and u where there is one, before psi, the context and the schedule
-    x = kind.sym("x", sum(function.size1_in(i) for i in range(count)))
-    ends = np.cumsum([0, *(function.size1_in(i) for i in range(count))]).tolist()
-    numbers = [kind.sym("p", function.size1_in(count + i)) for i in range(3)]
-    value = function.call([*ca.vertsplit(x, ends), *numbers], True, False)[0]
-    return any(ca.which_depends(ca.gradient(value, x) if derivatives else value, x, 2, False))
+def _trajectory(function: ca.Function) -> list[int]:
+    """Which arguments are s, and u where there is one: those before psi, the context and the schedule."""
+    return list(range(function.n_in() - 3))
 
 
 @lru_cache(maxsize=64)

@@ -150,7 +150,7 @@ System = _structure(
 Triple = _structure("Triple", x=POINTER, costates=POINTER, forces=POINTER, start=POINTER)
 Rows = _structure(
     "Rows",
-    **dict.fromkeys(("n_free", "n_bounds", "n_decisions", "smooth", "quadratic"), INT),
+    **dict.fromkeys(("n_free", "n_bounds", "n_decisions", "quadratic"), INT),
     **dict.fromkeys(("free", "entries", "decisions", "inequality", "equality", "other"), POINTER),
     **dict.fromkeys(("signs", "limits", "largest_bound", "normal", "uniform", "spread"), POINTER),
 )

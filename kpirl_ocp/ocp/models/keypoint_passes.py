@@ -52,7 +52,8 @@ class NetworkPasses:
         z, *kept = scan(self._forward, z0, self._drive_inputs(theta, actions, constant), self.horizon)
         states = _stack(ca.horzcat(z0, z), theta, ca.repmat(velocity, 1, self.horizon + 1))
         remembered = len(self._slopes)
-        return Rollout(states, actions, tuple(kept[:remembered]), clearance(kept[remembered:]))
+        clear = None if self._curved else clearance(kept[remembered:])
+        return Rollout(states, actions, tuple(kept[:remembered]), clear)
 
     def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
         """Changes of the states, of s_0 none."""

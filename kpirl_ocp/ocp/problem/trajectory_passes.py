@@ -26,8 +26,8 @@ Memory = tuple[ca.MX, ...]
 class Rollout(NamedTuple):
     """States (n_s, (T+1) B), actions (n_u, T B), and the arrays that the other passes need beside them.
 
-    clearance: how near the B trajectories come to a kink of the dynamics, relative to the size of what vanishes there;
-        infinite without kinks, None where it is not known.
+    clearance: how near the B trajectories come to a kink of dynamics that are straight between kinks, relative to the
+        size of what vanishes there; infinite without kinks, None for other dynamics.
     """
 
     states: ca.MX

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from kpirl_ocp.ocp.conditions.structure import quadratic_program, smooth_problem
+from kpirl_ocp.ocp.conditions.structure import quadratic_program
 from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.core import dimensions_of
 from kpirl_ocp.ocp.problem.constraints import BoundRows
@@ -75,7 +75,7 @@ class Rows:
     def structure(self) -> Any:
         """The rows for the C code, `kpirl_mpc_rows`. It keeps its arrays; whoever keeps its address has to keep it."""
         rows = c.Rows(n_free=len(self.free), n_bounds=self.n_bounds, n_decisions=len(self.decisions))
-        rows.smooth, rows.quadratic = smooth_problem(self.problem), quadratic_program(self.problem)
+        rows.quadratic = quadratic_program(self.problem)
         arrays = self._arrays()
         for name, array in arrays.items():
             setattr(rows, name, array.ctypes.data)

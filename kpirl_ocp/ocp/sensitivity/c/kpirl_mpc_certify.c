@@ -75,13 +75,11 @@ static real find_change(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core 
   return kpirl_mpc_kkt_change(k, nearby, slope, &nearby->adjoint);
 }
 
-/* Functions that are smooth by their operations have none where their derivatives by the parameters are numbers. */
+/* Along x a quadratic program has none. */
 static real find_kink(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_weighted *function, const real *direction,
                       const kpirl_mpc_triple *weights, const kpirl_mpc_by_parameters *by) {
-  const int known = kpirl_mpc_all_finite(by->psi, k->dimensions.n_parameters) &&
-                    kpirl_mpc_all_finite(by->context, k->dimensions.n_context);
-  if (k->rows->smooth) return known ? 0 : (real)INFINITY;
-  return kpirl_mpc_worse(kpirl_mpc_kink_along(k, core, direction), kpirl_mpc_kink_in_parameters(k, core, function, weights, by));
+  const real along = k->rows->quadratic ? 0 : kpirl_mpc_kink_along(k, core, direction);
+  return kpirl_mpc_worse(along, kpirl_mpc_kink_in_parameters(k, core, function, weights, by));
 }
 
 void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,

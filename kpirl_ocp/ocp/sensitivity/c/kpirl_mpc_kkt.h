@@ -11,7 +11,6 @@
 /* The m constraints of a problem but its dynamics: finite lower bounds, finite upper bounds, h and h_T, e and e_T. */
 typedef struct kpirl_mpc_rows {
   int n_free, n_bounds, n_decisions;
-  int smooth;                            /* are all functions smooth by their operations? */
   int quadratic;                         /* are second derivatives by x, and those of constraints, the same at every x? */
   const int *free, *entries, *decisions; /* as in kpirl_mpc_system */
   const int *inequality, *equality;      /* (m) 1 for rows that may be active or not, and for those that always are */
