@@ -22,8 +22,8 @@ def captured(*descriptors: int) -> Iterator[list[str]]:
             for descriptor in descriptors:
                 os.dup2(file.fileno(), descriptor)
             yield lines
-            library.fflush(None)
         finally:
+            library.fflush(None)
             for descriptor, copy in kept.items():
                 _restore(descriptor, copy)
             file.seek(0)

@@ -1,4 +1,4 @@
-"""The exceptions of the toolkit: one small tree, every message names the fault and a remedy."""
+"""The exceptions of the toolkit: one small tree, every message names the fault and a remedy, such as a near name."""
 
 import difflib
 from collections.abc import Iterable

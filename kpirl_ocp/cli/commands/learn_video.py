@@ -120,11 +120,11 @@ def _part(film: Film, tracks: Tracks) -> tuple[Film, Tracks]:
 
 def _learn(args: Namespace, arm: Arm, way: Array, rate: float) -> LearnedCost:
     """The cost, written to OUT, or that of --cost."""
-    starts = other_starts(arm, _LEARNED_FROM, (args.seed, 1))  # none of those that are executed but the first
-    demonstrations = [camera_demonstration(arm.setting, arm.robot, start, way) for start in starts]
-    check_reach(arm.setting, arm.robot, demonstrations[0])
+    check_reach(arm.setting, arm.robot, camera_demonstration(arm.setting, arm.robot, arm.start, way))
     if args.cost:
         return _reuse(args.cost, arm, way)
+    starts = other_starts(arm, _LEARNED_FROM, (args.seed, 1))  # none of those that are executed but the first
+    demonstrations = [camera_demonstration(arm.setting, arm.robot, start, way) for start in starts]
     learning = learn_in_image(arm.setting, arm.robot, demonstrations, rate, args.iterations)
     learning.cost.write(args.out / "cost.json")
     print(f"\nIRL {learning.history}; the plan stays {learning.distance:.1%} of the way from the demonstration")
