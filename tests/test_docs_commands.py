@@ -137,12 +137,9 @@ def test_a_film_leads_to_an_arm_by_the_commands_of_the_page(workplace, monkeypat
 def test_a_film_leads_to_an_arm_without_a_model_by_the_commands_of_the_page(workplace, monkeypatch):
     monkeypatch.chdir(workplace)
     shutil.copy("person.mp4", "my_placing.mp4")
-    few = [
-        "iterations: 3",
-        "starts: 1",
-    ]  # 1: a tenth of the way is not met; test_learned_dynamics_video learns to the end
-    assert say(VIDEO[4], few) in (0, 1)
-    assert say(VIDEO[5], [*few[:1], "steps: 10"]) in (0, 1)
+    few = "iterations: 3"  # may miss a tenth of the way (1); test_learned_dynamics_video learns to the end
+    assert say(VIDEO[4], [few, "starts: 1"]) in (0, 1)
+    assert say(VIDEO[5], [few, "steps: 10"]) in (0, 1)
     assert Path("out/learn-video/plan.npz").exists()
 
 
