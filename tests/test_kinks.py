@@ -203,7 +203,9 @@ def test_gradients_of_quadratic_steps_need_no_steps_beside_and_are_those_that_st
 
 
 @pytest.mark.parametrize(
-    "method", [Implicit(policy="flag"), Unrolled(GradientDescent(50, 0.1), policy="flag")], ids=str
+    "method",
+    [Implicit(policy="flag"), Unrolled(GradientDescent(50, 0.1), policy="flag")],
+    ids=lambda method: type(method).__name__,
 )
 @pytest.mark.parametrize(("steepness", "certified"), [(1e2, True), (1e5, False), (1e7, False), (1e9, False)])
 def test_a_sigmoid_that_is_as_steep_as_a_step_is_none_that_a_gradient_may_be_trusted_on(method, steepness, certified):
