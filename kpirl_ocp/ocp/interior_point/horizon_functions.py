@@ -16,10 +16,11 @@ from functools import lru_cache
 import casadi as ca
 
 from kpirl_ocp.ocp.conditions.stage_derivatives import linearise_dynamics
-from kpirl_ocp.ocp.interior_point.stage_functions import constraint_functions, last_functions
+from kpirl_ocp.ocp.interior_point.stage_functions import Levels, constraint_functions, last_functions
 from kpirl_ocp.ocp.problem.columns import map_shared
+from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedDynamics
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.trajectory_cost import TrajectoryCost, stage_costs
+from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients, TrajectoryCost, stage_costs
 
 # Names of the pointers in `c/kpirl_mpc_model.h`.
 _INPUTS = ("states", "actions", "psi", "context", "costates", "z", "nu", "z_last", "nu_last")
@@ -34,7 +35,7 @@ _OUTPUTS = (
 class HorizonFunctions:
     """Values, first and second derivatives of the whole horizon; and the dynamics of one stage."""
 
-    horizon: tuple[ca.Function, ca.Function, ca.Function]
+    horizon: Levels
     dynamics: ca.Function
 
 
@@ -46,7 +47,30 @@ def horizon_functions(problem: OCP) -> HorizonFunctions:
     successor = problem.transition(x[: problem.n_states], x[problem.n_states :], psi)
     names = ["x", "psi", "context", "schedule"]
     dynamics = ca.Function("dynamics", [x, psi, *others], [successor], names, ["successor"])
-    return HorizonFunctions((_values(problem), _first(problem), _second(problem)), dynamics)
+    return HorizonFunctions(_levels(problem), dynamics)
+
+
+def _levels(problem: OCP) -> Levels:
+    """Expressions that levels have in common are written once."""
+    point, dual = _symbols(problem)
+    (states, actions, psi, context), costates = point, dual[0]
+    cost = TrajectoryCost(problem, 1)
+    theta = cost.coefficients(psi, context)
+    dynamics = linearise_dynamics(problem, states, actions, psi, costates)
+    rows = [_rows(problem, function, point, dual) for function in constraint_functions(problem)]
+    ends = [_ends(problem, function, point, dual) for function in last_functions(problem)]
+    total, by_states, by_actions = cost.first(states, actions, theta)
+    (successors,) = map_shared(problem.transition, problem.horizon, [states[:, :-1], actions, psi])
+    values = [total, successors, *rows[0][1:3], *ends[0][1:3]]
+    slope, last_slope = ca.vertcat(by_states[:, :-1], by_actions), by_states[:, -1]
+    slopes = [slope, last_slope, slope + dynamics.Ft_lambda + rows[1][4], ends[1][4]]
+    first = [total, dynamics.value, *rows[1][1:3], *ends[1][1:3], *slopes]
+    second = _second(problem, dynamics, theta, point, costates, rows[2], ends[2])
+    return (
+        _function("horizon_values", point, values),
+        _function("horizon_first", [*point, *dual], first),
+        _function("horizon_second", [*point, *dual], second),
+    )
 
 
 def _symbols(problem: OCP) -> tuple[list[ca.MX], list[ca.MX]]:
@@ -62,43 +86,26 @@ def _function(name: str, inputs: list[ca.MX], outputs: list[ca.MX]) -> ca.Functi
     return ca.Function(name, inputs, dense, [*_INPUTS[: len(inputs)]], [*_OUTPUTS[: len(outputs)]])
 
 
-def _values(problem: OCP) -> ca.Function:
-    point, _ = _symbols(problem)
-    states, actions, psi, context = point
-    cost = TrajectoryCost(problem, 1)
-    total = cost.first(states, actions, cost.coefficients(psi, context))[0]
-    (successors,) = map_shared(problem.transition, problem.horizon, [states[:, :-1], actions, psi])
-    rows, ends = _rows(problem, 0, point, []), _ends(problem, 0, point, [])
-    return _function("horizon_values", point, [total, successors, *rows[1:], *ends[1:]])
-
-
-def _first(problem: OCP) -> ca.Function:
-    point, dual = _symbols(problem)
-    (states, actions, psi, context), (costates, *_) = point, dual
-    cost = TrajectoryCost(problem, 1)
-    total, by_states, by_actions = cost.first(states, actions, cost.coefficients(psi, context))
-    dynamics = linearise_dynamics(problem, states, actions, psi, costates)
-    rows, ends = _rows(problem, 1, point, dual), _ends(problem, 1, point, dual)
-    slope, last_slope = ca.vertcat(by_states[:, :-1], by_actions), by_states[:, -1]
-    values = [total, dynamics.value, rows[1], rows[2], ends[1], ends[2]]
-    slopes = [slope, last_slope, slope + dynamics.Ft_lambda + rows[4], ends[4]]
-    return _function("horizon_first", [*point, *dual], [*values, *slopes])
-
-
-def _second(problem: OCP) -> ca.Function:
-    point, dual = _symbols(problem)
-    (states, actions, psi, context), (costates, *_) = point, dual
-    stage, prepared = linearise_dynamics(problem, states, actions, psi, costates).second()
-    theta = TrajectoryCost(problem, 1).coefficients(psi, context)
+def _second(
+    problem: OCP,
+    dynamics: LinearisedDynamics,
+    theta: Coefficients,
+    point: list[ca.MX],
+    costates: ca.MX,
+    rows: list[ca.MX],
+    ends: list[ca.MX],
+) -> list[ca.MX]:
+    """The results with second derivatives."""
+    states, actions, *_ = point
+    stage, prepared = dynamics.second()
     value, slope, successors, Ft_lambda, F, H = _stage_second(problem, stage).map(problem.horizon)(
         states[:, :-1], actions, theta.stages, costates, *prepared
     )
-    rows, ends = _rows(problem, 2, point, dual), _ends(problem, 2, point, dual)
     if problem.n_path + problem.n_path_equality:
         H = H + rows[7]
-    values = [ca.sum2(value) + ends[0], successors, rows[1], rows[2], ends[1], ends[2]]
+    values = [ca.sum2(value) + ends[0], successors, *rows[1:3], *ends[1:3]]
     slopes = [slope, ends[3], slope + Ft_lambda + rows[4], ends[4]]
-    return _function("horizon_second", [*point, *dual], [*values, *slopes, F, rows[5], rows[6], H, *ends[5:]])
+    return [*values, *slopes, F, *rows[5:7], H, *ends[5:]]
 
 
 def _stage_second(problem: OCP, dynamics: ca.Function) -> ca.Function:
@@ -124,14 +131,16 @@ def _plus_sparse(dense: ca.MX, sparse: ca.MX) -> ca.MX:
     return total
 
 
-def _rows(problem: OCP, level: int, point: list[ca.MX], dual: list[ca.MX]) -> list[ca.MX]:
-    """The results of `constraint_functions` at all stages, dense; the cost and its gradient in them are zero."""
+def _rows(problem: OCP, function: ca.Function, point: list[ca.MX], dual: list[ca.MX]) -> list[ca.MX]:
+    """The results of one of `constraint_functions` at all stages, dense; cost and gradient in them are zero."""
     states, actions, psi, context = point
     x = ca.vertcat(states[:, :-1], actions)
     given = [x, psi, context, problem.stages[:, :-1], *dual[1:3]]
-    return map_shared(constraint_functions(problem)[level], problem.horizon, given)
+    return map_shared(function, problem.horizon, given[: function.n_in()])
 
 
-def _ends(problem: OCP, level: int, point: list[ca.MX], dual: list[ca.MX]) -> list[ca.MX]:
+def _ends(problem: OCP, function: ca.Function, point: list[ca.MX], dual: list[ca.MX]) -> list[ca.MX]:
+    """The results of one of `last_functions`."""
     states, _, psi, context = point
-    return list(last_functions(problem)[level](states[:, -1], psi, context, problem.stages[:, -1], *dual[3:]))
+    given = [states[:, -1], psi, context, problem.stages[:, -1], *dual[3:]]
+    return list(function.call(given[: function.n_in()]))

@@ -12,9 +12,9 @@ pointers in `c/kpirl_mpc_model.h`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate, chain
 
 import casadi as ca
 
@@ -109,31 +109,38 @@ def _levels(
 ) -> Levels:
     """The three functions of a cost and the constraints that follow it in `values`."""
     multipliers = [kind.sym("multiplier", value.numel()) for value in values[1:]]
+    if kind is ca.SX:
+        values = _shared(values)
     lagrangian = values[0] + sum(ca.dot(one, value) for one, value in zip(multipliers, values[1:], strict=True))
-    hessian, slope = ca.hessian(lagrangian, x)
-    slopes = [ca.densify(ca.gradient(values[0], x)), ca.densify(slope)]
-    jacobians = [ca.jacobian(value, x) for value in values[1:]]
-    matrices = [jacobian.T for jacobian in jacobians[-2:]]
-    if constraints == 3:
-        matrices.insert(0, jacobians[0])
-    matrices.append(ca.tril(hessian))
-    names = [name for name in _INPUTS if constraints == 3 or name not in _OF_DYNAMICS]
-    inputs = dict(zip(names, [x, *numbers, *multipliers], strict=True))
-    point = {name: inputs[name] for name in _INPUTS[:4]}
-    outputs: dict[str, ca.SX | ca.MX] = {}
+    slopes = [ca.densify(ca.gradient(value, x)) for value in (values[0], lagrangian)]
+    *jacobians, hessian = _jacobians([*values[1:], slopes[1]], x)
+    matrices = [*jacobians[:-2], *(jacobian.T for jacobian in jacobians[-2:]), ca.tril(hessian)]
+    results = [*values, *slopes, *matrices]
+    if kind is ca.MX:
+        results = _shared(results)
+    names = [[one for one in row if constraints == 3 or one not in _OF_DYNAMICS] for row in (_INPUTS, *_OUTPUTS)]
+    inputs, ends = [x, *numbers, *multipliers], list(accumulate(map(len, names[1:])))
     functions = []
-    for level, kinds, found in zip(("values", "first", "second"), _OUTPUTS, (values, slopes, matrices), strict=True):
-        names = [one for one in kinds if constraints == 3 or one not in _OF_DYNAMICS]
-        outputs = outputs | dict(zip(names, found, strict=True))
-        functions.append(_function(f"{name}_{level}", inputs if level != "values" else point, outputs))
+    for level, n_in, n_out in zip(("values", "first", "second"), (4, len(inputs), len(inputs)), ends, strict=True):
+        of_level = names[0][:n_in], [*chain.from_iterable(names[1:])][:n_out]
+        functions.append(ca.Function(f"{name}_{level}", inputs[:n_in], results[:n_out], *of_level))
     return functions[0], functions[1], functions[2]
 
 
-def _function(name: str, inputs: Mapping[str, ca.SX | ca.MX], outputs: Mapping[str, ca.SX | ca.MX]) -> ca.Function:
-    function = ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
-    if function.n_instructions() > _SHARED:
-        return function
-    return ca.Function(name, list(inputs.values()), ca.cse(list(outputs.values())), list(inputs), list(outputs))
+def _shared(expressions: list[ca.SX | ca.MX]) -> list[ca.SX | ca.MX]:
+    """With common subexpressions found, unless there are too many operations: before scalars are differentiated, since
+    derivatives repeat what is repeated; of graphs of matrices after that.
+    """
+    return expressions if ca.n_nodes(ca.veccat(*expressions)) > _SHARED else ca.cse(expressions)
+
+
+def _jacobians(columns: list[ca.SX | ca.MX], x: ca.SX | ca.MX) -> list[ca.SX | ca.MX]:
+    """Those of constraints and of a gradient, which scalars have in one sweep: both need the tangents of f."""
+    if isinstance(x, ca.MX):
+        *constraints, gradient = columns
+        return [*(ca.jacobian(value, x) for value in constraints), ca.jacobian(gradient, x, {"symmetric": True})]
+    ends = [0, *accumulate(column.numel() for column in columns)]
+    return list(ca.vertsplit(ca.jacobian(ca.vertcat(*columns), x), ends))
 
 
 def _numbers(kind: type[ca.SX] | type[ca.MX], problem: OCP) -> list[ca.SX | ca.MX]:

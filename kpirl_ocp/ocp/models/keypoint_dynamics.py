@@ -112,7 +112,7 @@ class LinearisedNetwork:
     psi: ca.MX
     costates: ca.MX
 
-    @property
+    @cached_property
     def value(self) -> ca.MX:
         """The successors."""
         return self.dynamics.successor(self.states, self._linearised[0], self.actions)
