@@ -11,12 +11,13 @@ import numpy as np
 
 from kpirl_ocp.episodes import write_whole
 from kpirl_ocp.errors import FileError
+from kpirl_ocp.irl.cases.json_fields import a_list, a_value, an_object, fields_of
 from kpirl_ocp.ocp.models.keypoint_costs import RBF, Basis, Default, KeypointCost, TimeDependent, Weighted
 from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp, keypoint_state
 from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Keypoint, Robot
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.statement.checks import horizon_of, number, shown
+from kpirl_ocp.ocp.problem.statement.checks import horizon_of, number, numbers, shown
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 from kpirl_ocp.ocp.solvers.riccati import Riccati
@@ -25,6 +26,7 @@ from kpirl_ocp.types import Array
 
 VISUAL = "kpirl_ocp.visual_cost"  # another kind of cost.json: over detected keypoints, with learned dynamics
 BASES: dict[str, type] = {"weighted": Weighted, "time": TimeDependent, "rbf": RBF, "default": Default}
+_OPEN = "max_displacement"  # null stands for no limit
 SOLVERS: dict[str, type] = {"gradient_descent": GradientDescent, "riccati": Riccati, "ipopt": Ipopt}
 
 
@@ -134,20 +136,21 @@ class LearnedCost:
                     f"{path} is a cost over detected keypoints: plan with it, and export it, by\n"
                     f"    kpirl learn-video FILM --detector CARD --dynamics CARD --cost {path} [--export]"
                 )
-            effort = content["effort"]
+            effort = numbers("effort", content["effort"])
             cost = KeypointCost(
-                basis=_build(BASES, content["basis"]),
-                effort=tuple(effort) if isinstance(effort, list) else effort,
-                learn_effort=content["learn_effort"],
-                positivity=content["positivity"],
+                basis=_build(BASES, "basis", content["basis"]),
+                effort=tuple(effort) if effort.ndim else float(effort),
+                learn_effort=a_value("learn_effort", content["learn_effort"], "bool"),
+                positivity=a_value("positivity", content["positivity"], "str"),
             )
-            psi, horizon = _numbers(content["psi"]), horizon_of(content["horizon"])
+            psi, horizon = _numbers("psi", content["psi"]), horizon_of(content["horizon"])
+            cost.basis.matrix(horizon)  # refuses what does not fit the horizon
             learned = cls(cost, psi, horizon, solver_of_json(content["solver"]))
             return replace(
                 learned,
                 setting=_setting_of_json(content.get("arm", {})),
-                start=_numbers(content.get("start", ())),
-                displacement=_numbers(content.get("displacement", ())),
+                start=_numbers("start", content.get("start", ())),
+                displacement=_numbers("displacement", content.get("displacement", ())),
                 rate=number("rate", content.get("rate", 0.0), "a number of at least 0", np.nextafter(0, -1)),
             )
         except FileNotFoundError:
@@ -156,15 +159,13 @@ class LearnedCost:
             raise FileError(f"{path} is not a learned cost: it has no {error}.") from error
         except ValueError as error:
             raise FileError(f"{path} is not a learned cost: {str(error).rstrip('.')}.") from error
-        except (AttributeError, TypeError) as error:
-            raise FileError(f"{path} is not a learned cost: {error!r}.") from error
 
 
-def _numbers(values: Any) -> Array:
+def _numbers(name: str, values: Any) -> Array:
     """A list of finite numbers (n,)."""
-    array = np.array(values, float)
+    array = numbers(name, values)
     if array.ndim != 1 or not np.isfinite(array).all():
-        raise ValueError(f"expected a list of finite numbers, got {shown(values)}")
+        raise ValueError(f"{name} must be a list of finite numbers, got {shown(values)}")
     return array
 
 
@@ -178,9 +179,9 @@ def solver_as_json(solver: GradientDescent | Riccati | Ipopt) -> dict[str, Any]:
     return _name_of(SOLVERS, solver) | asdict(solver)
 
 
-def solver_of_json(content: dict[str, Any]) -> GradientDescent | Riccati | Ipopt:
-    """The solver of `solver_as_json`. Raises KeyError, TypeError or ValueError if the content is of something else."""
-    solver: GradientDescent | Riccati | Ipopt = _build(SOLVERS, content)
+def solver_of_json(content: Any) -> GradientDescent | Riccati | Ipopt:
+    """The solver of `solver_as_json`. Raises ValueError if the content is of something else."""
+    solver: GradientDescent | Riccati | Ipopt = _build(SOLVERS, "solver", content)
     return solver
 
 
@@ -197,26 +198,37 @@ def _setting_as_json(setting: ArmSetting) -> dict[str, Any]:
     }
 
 
-def _setting_of_json(content: dict[str, Any]) -> ArmSetting:
-    camera, most = content.get("camera"), content.get("max_displacement")
-    keypoints = [Keypoint(entry["link"], tuple(entry["position"])) for entry in content.get("keypoints", ())]
+def _setting_of_json(content: Any) -> ArmSetting:
+    present = {name: value for name, value in an_object("arm", content).items() if value is not None or name != _OPEN}
+    given = fields_of(ArmSetting, "arm", present)
+    camera, most = given.get("camera"), given.get(_OPEN)
+    entries = a_list("arm.keypoints", given.get("keypoints", []))
+    keypoints = [_keypoint_of_json(f"arm.keypoints[{i}]", entry) for i, entry in enumerate(entries)]
     return ArmSetting(
-        robot=content.get("robot", "iiwa"),
+        robot=given.get("robot", "iiwa"),
         keypoints=tuple(keypoints),
-        unit=content.get("unit", 1.0),
-        camera=None if camera is None else Pinhole(**camera),
-        joint_limits=content.get("joint_limits", True),
-        max_displacement=np.inf if most is None else most,
+        unit=number("arm.unit", given.get("unit", 1.0), "a positive number", 0),
+        camera=None if camera is None else Pinhole(**fields_of(Pinhole, "camera", camera)),
+        joint_limits=given.get("joint_limits", True),
+        max_displacement=np.inf if most is None else number(f"arm.{_OPEN}", most, "a positive number", 0),
     )
+
+
+def _keypoint_of_json(name: str, content: Any) -> Keypoint:
+    given = fields_of(Keypoint, name, content)
+    position = _numbers(f"{name}.position", given["position"])
+    if len(position) != 3:
+        raise ValueError(f"{name}.position must be three numbers, got {shown(given['position'])}")
+    return Keypoint(given["link"], tuple(position.tolist()))
 
 
 def _name_of(kinds: dict[str, type], value: object) -> dict[str, object]:
     return {"kind": next(name for name, kind in kinds.items() if isinstance(value, kind))}
 
 
-def _build(kinds: dict[str, type], content: dict[str, object]):  # type: ignore[no-untyped-def]
-    arguments = dict(content)
-    kind = str(arguments.pop("kind"))
-    if kind not in kinds:
-        raise ValueError(f"kind must be one of {', '.join(kinds)}, got {kind!r}")
-    return kinds[kind](**arguments)
+def _build(kinds: dict[str, type], name: str, content: Any):  # type: ignore[no-untyped-def]
+    arguments = dict(an_object(name, content))
+    kind = arguments.pop("kind", None)
+    if not isinstance(kind, str) or kind not in kinds:
+        raise ValueError(f"{name}.kind must be one of {', '.join(kinds)}, got {shown(kind)}")
+    return kinds[kind](**fields_of(kinds[kind], name, arguments))

@@ -19,11 +19,13 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.episodes import write_whole
 from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.irl.cases.cost_files import VISUAL, solver_as_json, solver_of_json
+from kpirl_ocp.irl.cases.json_fields import a_list, a_value, an_object
 from kpirl_ocp.ocp.models.keypoint_costs import Default, KeypointCost, TimeDependent
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.ocp.problem.statement.checks import numbers
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.sizes import read_json
 from kpirl_ocp.types import Array
@@ -112,22 +114,20 @@ def read_planning_cost(path: Path, dynamics: NetworkDynamics) -> PlanningCost:
     Raises FileError if the file holds something else, or the cost is for other dynamics.
     """
     try:
-        content = read_json(path)
+        content = an_object("it", read_json(path))
         kind = content["kind"]
         cost = PlanningCost(
-            np.array(content["weights"], float),
-            np.array(content["efforts"], float),
+            numbers("weights", content["weights"]),
+            numbers("efforts", content["efforts"]),
             solver_of_json(content["solver"]),
             _limits_of_json(content.get("robot"), content.get("limits")),
         )
-        sizes = content["keypoints"], content["joints"]
+        sizes = tuple(a_value(name, content[name], "int") for name in ("keypoints", "joints"))
     except KeyError as error:
         raise FileError(f"{path} is not a cost over detected keypoints: it has no {error}.") from error
     except ValueError as error:
         raise FileError(f"{path} is not a cost over detected keypoints: {str(error).rstrip('.')}.") from error
-    except TypeError as error:
-        raise FileError(f"{path} is not a cost over detected keypoints: {error!r}.") from error
-    if kind != VISUAL or cost.weights.shape != (len(cost.efforts), 2 * sizes[0]):
+    if kind != VISUAL or cost.efforts.ndim != 1 or cost.weights.shape != (len(cost.efforts), 2 * sizes[0]):
         raise FileError(f"{path} is not a cost over detected keypoints.")
     if sizes != (dynamics.n_z // 2, dynamics.n_joints):
         needed = f"{dynamics.n_z // 2} keypoints and {dynamics.n_joints} joints"
@@ -144,15 +144,21 @@ def _limits_as_json(limits: ArmLimits) -> dict[str, Any]:
     return content | {"unit": "rad", "max_displacement": _finite(limits.max_displacement)}
 
 
-def _limits_of_json(robot: str | None, content: dict[str, Any] | None) -> ArmLimits | None:
+def _limits_of_json(robot: Any, content: Any) -> ArmLimits | None:
     if robot is None or content is None:
         return None
+    given = an_object("limits", content)
     lower, upper = (
-        tuple(sign * np.inf if value is None else float(value) for value in content[name])
+        tuple(_limit(f"limits.{name}", value, sign * np.inf) for value in a_list(f"limits.{name}", given[name]))
         for name, sign in (("lower", -1), ("upper", 1))
     )
-    most = content["max_displacement"]
-    return ArmLimits(robot, lower, upper, np.inf if most is None else float(most))
+    most = _limit("limits.max_displacement", given["max_displacement"], np.inf)
+    return ArmLimits(a_value("robot", robot, "str"), lower, upper, most)
+
+
+def _limit(name: str, value: Any, none: float) -> float:
+    """A number; null stands for none."""
+    return none if value is None else float(a_value(name, value, "float"))
 
 
 def _finite(value: float) -> float | None:

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.statement.checks import numbers
 from kpirl_ocp.types import Array
 
 
@@ -28,7 +29,7 @@ class Pinhole:
 
     def __post_init__(self) -> None:
         for name, shape in (("intrinsics", (3, 3)), ("rotation", (3, 3)), ("translation", (3,))):
-            value = np.asarray(getattr(self, name), float)
+            value = numbers(f"the camera's {name}", getattr(self, name))
             if value.shape != shape or not np.isfinite(value).all():
                 raise ProblemError(f"the camera's {name} must be {shape} finite numbers, got {value.tolist()}.")
             object.__setattr__(self, name, value)

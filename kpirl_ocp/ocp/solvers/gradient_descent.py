@@ -44,8 +44,9 @@ class GradientDescent:
     def __post_init__(self) -> None:
         if not isinstance(self.steps, int) or not 1 <= self.steps <= LONGEST:
             raise ProblemError(f"steps must be a whole number from 1 to {LONGEST}, got {self.steps!r}.")
-        if not self.step_size > 0:
-            raise ProblemError(f"step_size must be positive, got {self.step_size!r}.")
+        for name in ("step_size", "tolerance"):
+            if not getattr(self, name) > 0:
+                raise ProblemError(f"{name} must be positive, got {getattr(self, name)!r}.")
 
     def solve(
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
