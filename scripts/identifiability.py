@@ -10,14 +10,20 @@ design: the error of learned weights over the number of demonstrations, the next
 
 from kpirl_ocp.cli.main import experiment
 from kpirl_ocp.cli.parser import Parser
-from kpirl_ocp.cli.values import real, whole
+from kpirl_ocp.cli.values import MOST_DEMONSTRATIONS, real, whole
 
 
 def add_options(parser: Parser) -> None:
-    parser.add_argument("--simulated", type=whole(1), default=200, help="demonstrations per row (default: 200)")
+    parser.add_argument(
+        "--simulated", type=whole(1, MOST_DEMONSTRATIONS), default=200, help="demonstrations per row (default: 200)"
+    )
     parser.add_argument("--design-repetitions", type=whole(1), default=20, help="of the design test (default: 20)")
-    parser.add_argument("--demonstrations", type=whole(1), default=8, help="most in the design test (default: 8)")
-    parser.add_argument("--places", type=whole(5), default=24, help="starts and goals to choose from (default: 24)")
+    parser.add_argument(
+        "--demonstrations", type=whole(1, MOST_DEMONSTRATIONS), default=8, help="most in the design test (default: 8)"
+    )
+    parser.add_argument(
+        "--places", type=whole(5, MOST_DEMONSTRATIONS), default=24, help="starts and goals to choose from (default: 24)"
+    )
     parser.add_argument("--noise", type=real(above=0), default=1e-3, help="on keypoints, coverage [m] (default: 0.001)")
     parser.add_argument(
         "--design-noise", type=real(above=0), default=5e-3, help="the same, design [m] (default: 0.005)"

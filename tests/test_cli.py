@@ -223,6 +223,8 @@ WRONG = {  # words, beginning of the sentence
     "learn --demonstrations empty": "--demonstrations: empty/meta.json does not exist: make demonstrations",
     "learn --demonstrations . --task placing": "--demonstrations and --task exclude each other",
     "learn --train 0": f"--train: {WHOLE} 1, got '0'.",
+    "learn --train 100000000": f"--train: {MOST} 10000, got '100000000'.",
+    "demonstrate --tests 100000000": f"--tests: {MOST} 10000, got '100000000'.",
     "learn --steps -1": f"--steps: {WHOLE} 0, got '-1'.",
     "learn --inner-steps 0": f"--inner-steps: {WHOLE} 1, got '0'.",
     "learn --step-size 0": "--step-size: expected a finite number above 0, got '0'.",

@@ -13,6 +13,7 @@ from kpirl_ocp.errors import suggestion
 from kpirl_ocp.sizes import check_file
 
 MOST_PROCESSES = 1024  # or threads
+MOST_DEMONSTRATIONS = 10_000  # made, learned from or executed at once; they are all held in memory
 # Without underscores, spaces and digits of other scripts, all of which Python takes.
 _WHOLE = re.compile(r"[+-]?[0-9]+")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")

@@ -6,13 +6,15 @@ The first episode is for training, the others are for testing; starts and goals 
 from argparse import ArgumentParser
 
 from kpirl_ocp.cli.options.learn import TASKS
-from kpirl_ocp.cli.values import one_of, whole
+from kpirl_ocp.cli.values import MOST_DEMONSTRATIONS, one_of, whole
 from kpirl_ocp.sizes import LONGEST
 
 
 def add_options(parser: ArgumentParser) -> None:
     """Declare them."""
     parser.add_argument("--task", type=one_of(TASKS), default="placing", help="placing (default) or reaching")
-    parser.add_argument("--tests", type=whole(0), default=5, help="number of test demonstrations (default: 5)")
+    parser.add_argument(
+        "--tests", type=whole(0, MOST_DEMONSTRATIONS), default=5, help="number of test demonstrations (default: 5)"
+    )
     parser.add_argument("--horizon", type=whole(1, LONGEST), default=9, help="time steps T (default: 9)")
     parser.add_argument("--seed", type=whole(0), default=0, help="starts and goals (default: 0)")

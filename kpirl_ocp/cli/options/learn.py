@@ -8,7 +8,7 @@ Ctrl-C keeps the best cost so far, and the same command goes on from there.
 
 from argparse import ArgumentParser
 
-from kpirl_ocp.cli.values import existing_directory, one_of, real, whole
+from kpirl_ocp.cli.values import MOST_DEMONSTRATIONS, existing_directory, one_of, real, whole
 from kpirl_ocp.sizes import LONGEST
 
 TASKS = ("placing", "reaching")
@@ -24,7 +24,10 @@ def add_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--task", type=one_of(TASKS), help=f"or demonstrate {' or '.join(TASKS)} afresh (the first)")
     parser.add_argument(
-        "--train", type=whole(1), default=1, help="demonstrations to learn from, the first (default: 1)"
+        "--train",
+        type=whole(1, MOST_DEMONSTRATIONS),
+        default=1,
+        help="demonstrations to learn from, the first (default: 1)",
     )
     parser.add_argument("--method", type=one_of(METHODS), default="unrolled", help="unrolled (default) or implicit")
     parser.add_argument("--cost", type=one_of(COSTS), default="weighted", help="weighted (default), time or rbf")

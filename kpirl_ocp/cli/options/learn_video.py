@@ -12,7 +12,7 @@ from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable
 from pathlib import Path
 
-from kpirl_ocp.cli.values import existing_file, name, real, whole
+from kpirl_ocp.cli.values import MOST_DEMONSTRATIONS, existing_file, name, real, whole
 from kpirl_ocp.sizes import LONGEST
 
 
@@ -37,7 +37,7 @@ def add_options(parser: ArgumentParser) -> None:
     size = arm.add_mutually_exclusive_group()
     size.add_argument("--object-size", type=real(above=0), help="its length [m] (default: 0.25, the arm's bottle)")
     size.add_argument("--scale", type=real(above=0), help="pixels of the arm's camera per pixel of the film")
-    arm.add_argument("--starts", type=whole(1), default=3, help="executed from (default: 3)")
+    arm.add_argument("--starts", type=whole(1, MOST_DEMONSTRATIONS), default=3, help="executed from (default: 3)")
     own = parser.add_argument_group("dynamics learned from recordings of the arm, instead of a model of it")
     own.add_argument("--dynamics", type=existing_file, help="card of `kpirl train-dynamics`; with --detector")
     own.add_argument("--recording", type=existing_file, help=".npz of the arm: plan from its first frame on")
