@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from kpirl_ocp.episodes import atomic_write
-from kpirl_ocp.pictures import COLOURS, GREY, PAGE, STYLE, figure_class
+from kpirl_ocp.pictures import COLOURS, GREY, PAGE, STYLE, figure_class, write_out_numbers
 from kpirl_ocp.types import Array
 
 # What has a colour of its own in every figure.
@@ -20,6 +20,7 @@ _KNOWN = dict(zip(("weighted", "timedep", "rbf", "apprenticeship"), COLOURS, str
 
 def save(figure: Figure, path: Path) -> Path:
     """Write the figure, whole or not at all, as PNG or SVG by the path's suffix, and give its path back."""
+    write_out_numbers(figure)
     with atomic_write(path) as file:
         figure.savefig(file, dpi=150, format=path.suffix[1:])
     return path

@@ -43,6 +43,7 @@ STYLE: Mapping[str, Any] = {
     "figure.constrained_layout.h_pad": 0.1,  # [inch], so that no title touches the panel above
     "svg.hashsalt": "kpirl_ocp",  # the same figure gives the same file
 }
+_PLAIN = 1e-3, 1e4  # logarithmic axes within these limits have plain numbers
 _MOST_LINES = 10  # with a legend entry each
 
 
@@ -72,12 +73,34 @@ def figure_class() -> type[Figure]:
     return Picture
 
 
+@lru_cache(maxsize=1)
+def _plain_numbers() -> type[Any]:
+    """Labels of logarithmic axes where matplotlib has them, but as 60 and 0.2, not as 6 x 10^1 and 2 x 10^-1."""
+
+    class Plain(import_module("matplotlib.ticker").LogFormatterSciNotation):  # type: ignore[misc]
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{x:g}" if super().__call__(x, pos) else ""
+
+    return Plain
+
+
+def write_out_numbers(figure: Figure) -> None:
+    """Plain numbers on logarithmic axes that hold no very small or large ones, unless they have labels of their own."""
+    own = import_module("matplotlib.ticker").LogFormatterSciNotation
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        low, high = sorted(axis.get_view_interval())
+        if low >= _PLAIN[0] and high <= _PLAIN[1] and type(axis.get_major_formatter()) is own:
+            axis.set_major_formatter(_plain_numbers()())
+            axis.set_minor_formatter(_plain_numbers()(labelOnlyBase=False))
+
+
 def draw(panels: Sequence[Panel], width: float = 3.6, height: float = 2.5) -> Figure:
     """One set of axes per panel, side by side."""
     with import_module("matplotlib").rc_context(dict(STYLE)):
         figure = figure_class()(figsize=(width * len(panels), height), layout="constrained")
         for axes, panel in zip(np.ravel(figure.subplots(1, len(panels))), panels, strict=True):
             _draw_panel(axes, panel)
+        write_out_numbers(figure)
     return figure
 
 
@@ -98,6 +121,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
 
 def svg_file(figure: Figure) -> str:
     """The content of a file with the figure; the same figure gives the same content."""
+    write_out_numbers(figure)
     buffer = io.StringIO()
     with import_module("matplotlib").rc_context(dict(STYLE)):
         figure.savefig(buffer, format="svg", metadata={"Date": None})

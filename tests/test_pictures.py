@@ -14,7 +14,7 @@ import pytest
 
 from kpirl_ocp import LBFGS, OCP, Demonstration, Implicit, Riccati, Soft, learn, sensitivity
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.figures import colours, new_figure, panels_of_bands, wrapped_figure
+from kpirl_ocp.figures import colours, new_figure, panels_of_bands, save, wrapped_figure
 from kpirl_ocp.ocp.models import MLP, Robot
 from kpirl_ocp.perception.data.formats import Take
 from kpirl_ocp.perception.scene.frame import Frame
@@ -275,3 +275,28 @@ def test_rounding_is_no_deviation():
 )
 def test_mean_and_deviation_are_written_without_exponents_where_they_are_easily_read(mean, deviation, text):
     assert plus_minus(mean, deviation) == text
+
+
+@pytest.mark.parametrize(
+    ("limits", "expected"),
+    [
+        ((12, 80), ["20", "30", "40", "60"]),
+        ((0.02, 0.4), ["0.02", "0.03", "0.04", "0.06", "0.1", "0.2", "0.3", "0.4"]),
+        ((0.1, 900), ["0.1", "1", "10", "100"]),
+    ],
+    ids=str,
+)
+def test_narrow_logarithmic_axes_have_plain_numbers(tmp_path, limits, expected):
+    figure, (axes,) = new_figure(1, 1)
+    axes.set(yscale="log", ylim=limits)
+    save(figure, tmp_path / "figure.svg")
+    ticks = [*axes.yaxis.get_major_ticks(), *axes.yaxis.get_minor_ticks()]
+    shown = [t.label1.get_text() for t in ticks if limits[0] <= t.get_loc() <= limits[1]]
+    assert sorted(filter(None, shown), key=float) == expected
+
+
+def test_axes_over_many_decades_have_powers_of_ten(tmp_path):
+    figure, (axes,) = new_figure(1, 1)
+    axes.set(yscale="log", ylim=(1e-12, 1))
+    save(figure, tmp_path / "figure.svg")
+    assert "10^{-12}" in axes.yaxis.get_major_formatter()(1e-12)
