@@ -84,6 +84,34 @@ def test_the_derivative_of_gradient_steps_is_that_of_finite_differences(name):
         assert error.max() < 1e-7 * max(1.0, np.abs(found.jacobian).max())
 
 
+def steps_from_rest(stage_cost, step_size=0.1):
+    """A problem of one step, s + u, and thirty gradient steps for it."""
+    s, u, psi = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("psi")
+    problem = OCP.from_expressions(
+        state=s, action=u, parameters=psi, horizon=1, dynamics=s + u, stage_cost=stage_cost(u, psi), terminal_cost=0 * s
+    )
+    return problem, GradientDescent(steps=30, step_size=step_size)
+
+
+@pytest.mark.parametrize(("kinked", "certified"), [(False, True), (True, False)])
+def test_the_derivative_of_gradient_steps_does_not_depend_on_the_observations(kinked, certified):
+    target = (lambda psi: ca.fabs(psi - 0.2)) if kinked else ca.exp
+    problem, solver = steps_from_rest(lambda u, psi: (u - target(psi)) ** 2 + 0.1 * u**2)
+    planned = solver.solve(problem, [0.0], [0.2]).states
+    for observed in (planned, planned + 1.0):
+        seen = Demonstration([0.0], [], observed)
+        assert plan_jacobian(problem, seen, [0.2], Unrolled(solver, policy="flag")).certified == certified
+
+
+def test_gradient_steps_that_diverge_have_no_derivative_and_say_so():
+    problem, solver = steps_from_rest(lambda u, psi: (u - psi) ** 2, step_size=1e200)
+    seen = Demonstration([0.0], [], np.zeros((2, 1)))
+    with pytest.raises(CertificateError, match="NaN or infinite"):
+        plan_jacobian(problem, seen, [0.2], Unrolled(solver))
+    with pytest.raises(ProblemError, match="finite and can be differentiated"):
+        identify(problem, [seen], [0.2], noise=0.1, method=Unrolled(solver, policy="flag"))
+
+
 def test_both_derivatives_agree_once_the_gradient_steps_have_converged():
     case = unconstrained(CASES["lqr"]())
     steps = plan_jacobian(case.problem, case.demonstration, case.psi, Unrolled(converging_descent(case)))

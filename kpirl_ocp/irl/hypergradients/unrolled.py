@@ -27,17 +27,16 @@ from kpirl_ocp.irl.hypergradients.certificate import (
     nonfinite_failures,
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
-from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
+from kpirl_ocp.irl.hypergradients.smoothness import LossAt, affine_dynamics, parameter_kinks, quadratic_costs
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.irl.hypergradients.unrolled_slopes import Descents
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_function
-from kpirl_ocp.ocp.conditions.polynomials import is_affine_in, is_quadratic
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
+from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.sensitivity.certificate import KINK, WRONG_DERIVATIVES, Certificate, Policy, check_policy
-from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, audited, check_constraints
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, audited
 from kpirl_ocp.types import Array, Demonstration, Solution
 
 # An iterate this close to a bound before projection [units of u] sits on the kink of the projection.
@@ -53,6 +52,7 @@ _CLEAR = 1e-6
 _STEADY = 100.0
 # Growth of the adjoint back over the steps, and so of rounding along them, that leaves less than eight digits.
 _GROWTH = 1e8
+_HEAD = 5  # numbers before the gradient in an output of `unrolled_function`
 _STEPS_KINK = (
     "The steps end on a kink or cross one, or they diverge: the loss has other slopes beside psi than this gradient. "
     "Use smooth costs and dynamics (squares, softplus, tanh), smaller steps (`step_size`), or another guess."
@@ -172,27 +172,21 @@ def unrolled_gradients(
     checkpoint: bool = False,
 ) -> list[HypergradientResult]:
     """Descend N steps, then accumulate the gradient back through the last ones; demonstrations side by side."""
-    check_constraints(problem, solver.project)
-    inputs = [problem.inputs(demonstration.s0, psi, demonstration.context) for demonstration in demonstrations]
-    starts, psis, contexts = (np.concatenate(parts) for parts in zip(*inputs, strict=True))
-    actions = np.concatenate([guess_actions(problem, guess) for guess in guesses or [None] * len(inputs)])
-    observed = np.concatenate([data_of(loss, problem, demonstration).T for demonstration in demonstrations])
-    evaluate = call_function(_function(problem, solver, loss, last, checkpoint, len(inputs)))
-    (outputs,) = evaluate(actions, starts, psis, contexts, observed)
+    descents = Descents.toward(problem, solver, loss, demonstrations, psi, guesses)
+    numbers, contexts = descents.psi, descents.contexts.reshape(len(demonstrations), -1)
     sweeps = [
-        _sweep(problem, solver, last, psi, context, output)
-        for (_, psi, context), output in zip(inputs, outputs.reshape(len(inputs), -1), strict=True)
+        _sweep(problem, solver, last, numbers, context, output)
+        for context, output in zip(contexts, _outputs(descents, last, checkpoint), strict=True)
     ]
-    wrong = () if passes_agree(problem, len(inputs)) else (WRONG_DERIVATIVES,)
-    straight = last == solver.steps and _quadratic(problem, loss) and all(sweep.steady for sweep in sweeps)
-    if straight and (_affine(problem) or all(sweep.clear for sweep in sweeps)):
+    wrong = () if passes_agree(problem, len(demonstrations)) else (WRONG_DERIVATIVES,)
+    straight = last == solver.steps and quadratic_costs(problem, loss) and all(sweep.steady for sweep in sweeps)
+    if straight and (affine_dynamics(problem) or all(sweep.clear for sweep in sweeps)):
         return [sweep.result(0.0, wrong) for sweep in sweeps]
     ends = [
         LossAt(problem, loss, data_of(loss, problem, demonstration), _plan(sweep.certificate.solution))
         for demonstration, sweep in zip(demonstrations, sweeps, strict=True)
     ]
     found = zip(*((x.loss, x.gradient, x.terms(at)) for x, at in zip(sweeps, ends, strict=True)), strict=True)
-    descents = Descents(problem, solver, loss, inputs[0][1], actions, starts, contexts, observed)
     kinks = descents.kinks(*map(np.array, found)).tolist()
     return [
         sweep.result(kink, (*wrong, *at.kinks, *parameter_kinks(problem, sweep.certificate.solution)))
@@ -200,17 +194,20 @@ def unrolled_gradients(
     ]
 
 
-@lru_cache(maxsize=64)
-def _quadratic(problem: OCP, loss: Loss) -> bool:
-    """Are costs, observation and loss quadratic?"""
-    stated = (problem.stage_cost, problem.terminal_cost, problem.observation, loss(problem))
-    return all(is_quadratic(function) for function in stated if function is not None)
+def gradient_alone(method: Unrolled, problem: OCP, demonstration: Demonstration, psi: ArrayLike) -> Array:
+    """The gradient (n_psi,) without a certificate: for one of many losses of a plan, of which another was certified."""
+    descents = Descents.toward(problem, method.solver, method.loss, [demonstration], psi)
+    (output,) = _outputs(descents, method.solver.steps, method.checkpoint)
+    return output[_HEAD : _HEAD + problem.n_parameters]
 
 
-@lru_cache(maxsize=64)
-def _affine(problem: OCP) -> bool:
-    """Are the dynamics affine in states and actions, and at most quadratic in psi and the context?"""
-    return is_quadratic(problem.dynamics) and is_affine_in(problem.dynamics, [0, 1])
+def _outputs(descents: Descents, last: int, checkpoint: bool) -> Array:
+    """Outputs of `unrolled_function`, a row for each of the B descents."""
+    count = len(descents.observed) // (descents.problem.horizon + 1)
+    evaluate = call_function(_function(descents.problem, descents.solver, descents.loss, last, checkpoint, count))
+    psis = np.tile(descents.psi, count)
+    (outputs,) = evaluate(descents.actions, descents.starts, psis, descents.contexts, descents.observed)
+    return outputs.reshape(count, -1)
 
 
 class _Sweep(NamedTuple):
@@ -253,8 +250,8 @@ def _plan(solution: Solution) -> Array:
 
 def _sweep(problem: OCP, solver: GradientDescent, last: int, psi: Array, context: Array, output: Array) -> _Sweep:
     """From one column of `unrolled_function`."""
-    value, remainder, kink, clearance, initial = output[:5].tolist()
-    gradient, point = output[5 : 5 + problem.n_parameters], output[5 + problem.n_parameters :]
+    value, remainder, kink, clearance, initial = output[:_HEAD].tolist()
+    gradient, point = np.split(output[_HEAD:], [problem.n_parameters])
     solution = audited(problem, solver, psi, context, initial, point)
     certificate = UnrolledCertificate(
         solution=solution,

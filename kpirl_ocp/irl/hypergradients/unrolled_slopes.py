@@ -8,21 +8,24 @@ have other slopes than the product of their derivatives. Along a fixed random di
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
-from kpirl_ocp.irl.hypergradients.loss import Loss
+from kpirl_ocp.irl.hypergradients.loss import Loss, data_of
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_function
 from kpirl_ocp.ocp.problem.columns import regroup, repeat
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import ReducedCost, reduced_symbols
+from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
 from kpirl_ocp.ocp.sensitivity.certificate import KINK
-from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, gradient_step
-from kpirl_ocp.types import Array
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints, gradient_step
+from kpirl_ocp.types import Array, Demonstration
 
 _STEP = 1e-6  # h: of psi, relative
 _CLOSER = 0.1  # a second step, relative to the first: what curvature does to a slope shrinks with it, a kink does not
@@ -45,6 +48,25 @@ class Descents:
     starts: Array
     contexts: Array
     observed: Array
+
+    @classmethod
+    def toward(
+        cls,
+        problem: OCP,
+        solver: GradientDescent,
+        loss: Loss,
+        demonstrations: Sequence[Demonstration],
+        psi: ArrayLike,
+        guesses: Sequence[Guess] | None = None,
+    ) -> Descents:
+        """One per demonstration, from its guess or from actions zero; arguments and errors as in `Hypergradient`."""
+        check_constraints(problem, solver.project)
+        inputs = [problem.inputs(demonstration.s0, psi, demonstration.context) for demonstration in demonstrations]
+        starts, psis, contexts = zip(*inputs, strict=True)
+        actions = [guess_actions(problem, guess) for guess in guesses or [None] * len(inputs)]
+        observed = [data_of(loss, problem, demonstration).T for demonstration in demonstrations]
+        together = (np.concatenate(parts) for parts in (actions, starts, contexts, observed))
+        return cls(problem, solver, loss, psis[0], *together)
 
     @np.errstate(over="ignore", invalid="ignore")
     def kinks(self, losses: Array, gradients: Array, terms: Array) -> Array:

@@ -18,14 +18,13 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 from kpirl_ocp.irl.hypergradients.implicit import Implicit
-from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
+from kpirl_ocp.irl.hypergradients.unrolled import Unrolled, gradient_alone
 from kpirl_ocp.ocp.problem.layout import split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
 from kpirl_ocp.types import Array, Demonstration, Trajectory
 
 CONVERGED = Implicit()  # how the plan depends on psi, unless said otherwise
-_TOGETHER = 10  # rows that one call of the unrolled gradient computes
 
 
 class PlanJacobian(NamedTuple):
@@ -74,21 +73,22 @@ def _converged(problem: OCP, demonstration: Demonstration, psi: ArrayLike, metho
 
 
 def _unrolled(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method: Unrolled) -> PlanJacobian:
-    unrolled = replace(method, loss=Unrolled(method.solver).loss)
-    certificate = unrolled(problem, demonstration, psi).certificate
-    states = certificate.solution.states
-    planned = problem.observe(states.T).full().T  # (T+1, n_z)
-    size = planned[1:].size
-    shifts = np.zeros((-(-size // _TOGETHER) * _TOGETHER, *planned.shape))
-    shifts[:size, 1:] = 0.5 * np.eye(size).reshape(size, *planned[1:].shape)
-    demonstrations = [replace(demonstration, observations=planned - shift) for shift in shifts]
-    rows = [
-        result.gradient
-        for first in range(0, len(shifts), _TOGETHER)
-        for result in unrolled.batch(problem, demonstrations[first : first + _TOGETHER], psi)
-    ]
-    jacobian = np.reshape(rows[:size], (size, problem.n_parameters))
-    return PlanJacobian(certificate.solution.trajectory, planned[1:].ravel(), jacobian, certificate.certified)
+    plan = method.solver.solve(problem, demonstration.s0, psi, demonstration.context)
+    planned = problem.observe(plan.states.T).full().T  # (T+1, n_z)
+    finite = planned if np.isfinite(planned).all() else np.zeros(planned.shape)  # the certificate says which
+    unrolled, shape = Unrolled(method.solver, policy=method.policy, checkpoint=method.checkpoint), planned[1:].shape
+
+    def beside(direction: Array) -> Demonstration:
+        """Of which the loss has the gradient (dz/dpsi)^T direction (T n_z,)."""
+        shift = np.vstack([np.zeros(shape[1]), direction.reshape(shape)])
+        return replace(demonstration, observations=finite - 0.5 * shift, actions=None, frames=None)
+
+    # A kink of any row is one of a random combination of all; a loss that vanishes at the plan would hide it.
+    combined = beside(np.random.default_rng(0).normal(size=shape))
+    certificate = unrolled(problem, combined, psi).certificate
+    rows = [gradient_alone(unrolled, problem, beside(row), psi) for row in np.eye(finite[1:].size)]
+    jacobian = np.reshape(rows, (-1, problem.n_parameters))
+    return PlanJacobian(plan.trajectory, planned[1:].ravel(), jacobian, certificate.certified)
 
 
 def observed(problem: OCP, states: Array) -> Array:
