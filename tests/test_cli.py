@@ -74,6 +74,9 @@ def broken():
 def exits():
     raise SystemExit
 
+def wants(something):
+    return something
+
 def says_much():
     raise ValueError("one\\ntwo")
 
@@ -198,9 +201,10 @@ WRONG = {  # words, beginning of the sentence
     "solve own.py:alone": "own.py:alone: it must return an OCP and a dictionary with its numbers, not OCP.",
     "solve own.py:broken": "own.py:broken raised ZeroDivisionError: division by zero (line 40 of own.py)",
     "solve own.py:exits": "own.py:exits raised SystemExit (line 43 of own.py)",
+    "solve own.py:wants": "own.py:wants raised TypeError: wants() missing 1 required positional argument: 'something'.",
     "solve own.py:no_horizon": "own.py:no_horizon raised ProblemError: horizon must be a whole number of at least 1 "
-    "step and at most 1000000, got 0. (line 58 of own.py)",
-    "solve own.py:says_much": "own.py:says_much raised ValueError: one two (line 46 of own.py)",
+    "step and at most 1000000, got 0. (line 61 of own.py)",
+    "solve own.py:says_much": "own.py:says_much raised ValueError: one two (line 49 of own.py)",
     "solve own.py:true_step": "own.py:true_step: step_size must be a positive number, got True.",
     "solve unfinished.py:f": "unfinished.py raised SyntaxError: '(' was never closed (unfinished.py, line 1).",
     "solve own.py:pendulum --robot panda": "--robot is for the arm's problem, and own.py:pendulum is your own.",
@@ -646,10 +650,12 @@ def test_a_collection_that_is_interrupted_while_its_workers_start_says_one_line(
 
 
 def test_the_hypergradients_of_an_own_problem_are_compared(own, tmp_path):
-    words = ["compare", f"{own}:seen", "--steps", "1", "300", "--iterations", "2", "--out", tmp_path]
+    words = ["compare", f"{own}:seen", "--steps", "300", "1", "300", "--iterations", "2", "--out", tmp_path]
     result = kpirl(*words)
     assert result.returncode == 0, result.stderr
     results = json.loads((tmp_path / "metrics.json").read_text())["results"]
+    unrolled = [m["steps"] for m in results["measurements"] if m["method"] == "unrolled"]
+    assert unrolled == [1, 300]
     assert results["finite_difference_agreement"] < 1e-4
     errors = {(m["method"], m["steps"]): m["error"] for m in results["measurements"]}
     assert errors["implicit (Riccati)", 0] < 1e-8

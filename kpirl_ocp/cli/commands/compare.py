@@ -66,15 +66,16 @@ def main(args: Namespace) -> None:
     print(f"{source}: {len(exact)} parameters; finite differences agree with the reference to {agreement:.1e}")
     results = {"reference": exact, "finite_difference_agreement": agreement, "step_size": case.step_size}
     measurements: list[Measurement] = []
-    total = len(list(methods(case, args.steps)))
+    steps = sorted(set(args.steps))
+    total = len(list(methods(case, steps)))
     with kept_if_interrupted(args.out, vars(args), results, lambda: f"{len(measurements)} of {total} measurements"):
-        for measurement in tqdm(measure_all(source, args.steps, exact), "measuring", total, unit="method"):
+        for measurement in tqdm(measure_all(source, steps, exact), "measuring", total, unit="method"):
             measurements.append(measurement)
             results["measurements"] = [asdict(m) for m in measurements]
         header = ["method", "N", "relative error", "CPU time [ms]", "memory [MB]", "certificate"]
         print("\n" + table(header, [as_row(m, agreement) for m in measurements]) + "\n")
 
-        some = [n for n in args.steps if n in (min(args.steps), max(args.steps), args.steps[len(args.steps) // 2])]
+        some = sorted({steps[0], steps[len(steps) // 2], steps[-1]})
         learning = learn_with_each(case, some, args.iterations, args.learning_rate)
     rows = [[name, r.losses[0], r.loss, f"{r.seconds[-1]:.2f}"] for name, r in learning.items()]
     print(table(["learning with", "first IRL loss", "best IRL loss", "CPU time [s]"], rows))

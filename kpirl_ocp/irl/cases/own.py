@@ -84,13 +84,13 @@ def _module(path: Path) -> Any:
 
 
 def _raised(place: str, path: Path, error: BaseException) -> str:
-    """A sentence about an error, with the last line of the file that led there."""
+    """A sentence about an error, with the last line of the file that led there, if one did."""
     said = " ".join(f"{place} raised {type(error).__name__}: {error}".split()).rstrip(":")
     if isinstance(error, SyntaxError):  # which says where by itself
         return f"{said}."
     frames = traceback.extract_tb(error.__traceback__)
-    last = next((frame for frame in reversed(frames) if Path(frame.filename).resolve() == path.resolve()), frames[-1])
-    return f"{said} (line {last.lineno} of {Path(last.filename).name})"
+    lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == path.resolve()]
+    return f"{said} (line {lines[-1]} of {path.name})" if lines else f"{said}."
 
 
 def _checked(place: str, returned: object) -> OwnProblem:
