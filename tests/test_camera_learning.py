@@ -15,6 +15,7 @@ pytest.importorskip("torch")
 from films import WALL, film, pose, shaken
 
 from kpirl_ocp.assets import iiwa_urdf
+from kpirl_ocp.cli.commands import learn_video
 from kpirl_ocp.cli.imitation.arm import Scale, arm_for, other_starts
 from kpirl_ocp.cli.imitation.execution import execute
 from kpirl_ocp.cli.main import run
@@ -40,6 +41,7 @@ from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.scene.camera import Camera
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.perception.tracking.tracks import read_tracks
+from kpirl_ocp.perception.tracking.watch import Film, seen_at_rest
 from kpirl_ocp.types import Demonstration
 
 CAMERA = Camera()
@@ -390,9 +392,29 @@ def test_the_film_of_a_shaking_phone_leads_to_a_robot_as_one_from_a_fixed_place_
     words = ["learn-video", str(path), "--scale", "0.4", "--steps", "5", "--iterations", "25", "--starts", "1"]
     assert run([*words, "--out", str(tmp_path)]) == 0, capsys.readouterr()
     assert "camera:  moves its picture by up to" in capsys.readouterr().out
-    tracks = read_tracks(tmp_path / "tracks.npz")
+    tracks = seen_at_rest(Film(path).steadied(), read_tracks(tmp_path / "tracks.npz"))
     way = tracks.centre[-1] - tracks.centre[0]
     np.testing.assert_allclose(way, [100, -30], atol=2)
+
+
+def test_tracks_that_were_written_are_those_of_the_film_and_its_part_when_they_are_read_again(tmp_path, monkeypatch):
+    poses = [pose(80 + 100 * t, 100 - 30 * t, 0.3 * t) for t in minimum_jerk(np.linspace(0, 1, 50))]
+    frames = [image for _, image in shaken(poses, jitter=10, drift=(15, 5))[0]]
+    path = write_video(tmp_path / "phone.mp4", frames, 30, codec="h264")
+    admitted = []
+    monkeypatch.setattr(
+        learn_video, "_imitate", lambda args, film, tracks, length: admitted.append((film, tracks)) or 0
+    )
+    part = ["learn-video", str(path), "--start", "0.5", "--end", "1.4"]
+    assert run([*part, "--box", "60,65,112,117", "--out", str(tmp_path)]) == 0
+    for words in (part, part[:2]):
+        assert run([*words, "--tracks", str(tmp_path / "tracks.npz"), "--out", str(tmp_path / "again")]) == 0
+    (film, tracks), *again = admitted
+    assert film.camera is not None
+    for other, read in again:
+        assert other.start == pytest.approx(film.start, abs=1e-9)
+        np.testing.assert_allclose(read.times, tracks.times, atol=1e-9)
+        np.testing.assert_allclose(read.positions, tracks.positions, atol=1e-6)
 
 
 def test_the_command_learns_plans_executes_and_exports_for_an_arm_from_a_urdf(tmp_path, moving_film, capsys):

@@ -292,6 +292,12 @@ def test_a_table_of_tracks_is_read_in_any_order_of_its_rows(tmp_path):
     np.testing.assert_allclose(found.times, [0, 0.1, 0.2])
 
 
+def test_frames_of_a_table_are_counted_from_the_first_of_the_film(tmp_path):
+    path = tmp_path / "tracks.csv"
+    path.write_text("frame,point,x,y\n6,a,1,2\n8,a,2,2\n11,a,3,2\n")
+    np.testing.assert_allclose(read_tracks(path, rate=10, size=SIZE).times, [0.6, 0.8, 1.1])
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [

@@ -118,6 +118,52 @@ def test_places_outside_the_first_frame_are_refused_before_the_rest_is_looked_at
     assert message in capsys.readouterr().err
 
 
+def npz(**arrays):
+    return {"tracks": np.full((3, 4, 2), 20.0), "size": np.array([240, 180]), **arrays}
+
+
+@pytest.mark.parametrize(
+    ("tracks", "words", "message"),
+    [
+        (None, "--source-rate 10", "--source-rate: {film} has times of its own; it is for pictures and --tracks"),
+        (
+            npz(),
+            "--source-rate 20",
+            "--source-rate: {film} has 10 frames a second, so 3 frames of tracks in it have no 20; give",
+        ),
+        (
+            npz(times=np.arange(3) / 10),
+            "--source-rate 5",
+            "has times of its own, at 10 frames a second",
+        ),
+        (
+            npz(size=np.array([480, 360])),
+            "--source-rate 10",
+            "--tracks: the tracks are for frames of 480 x 360",
+        ),
+        (
+            {"tracks": np.full((3, 4, 2), 400.0)},
+            "--source-rate 10",
+            "all keypoints outside the frames, around 400,400",
+        ),
+        (npz(), "--source-rate 10", "has 3 frames from 0 s to its end: that shows no motion."),
+        (npz(), "--source-rate 10.1", "has 3 frames"),
+        (npz(tracks=np.full((5, 4, 2), 20.0)), "--source-rate 20", "has 3 frames"),  # interpolated
+        (npz(), "--source-rate 5", "has 3 frames"),
+        (npz(times=np.arange(3) / 10), "--source-rate 10", "has 3 frames"),
+        (npz(times=np.arange(3) / 10), "", "has 3 frames"),
+    ],
+)
+def test_numbers_that_contradict_the_film_are_refused_before_it_is_watched(tracks, words, message, tmp_path, capsys):
+    film = write_video(tmp_path / "film.mp4", np.zeros((3, 180, 240, 3), np.uint8), 10)
+    path = tmp_path / "tracks.npz"
+    if tracks is not None:
+        np.savez(path, **tracks)
+        words += f" --tracks {path}"
+    assert run(["learn-video", str(film), *words.split(), "--out", str(tmp_path)]) == 2
+    assert message.format(film=film) in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("cost", "words", "message"),
     [

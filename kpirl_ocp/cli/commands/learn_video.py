@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kpirl_ocp.cli.imitation.arm import BOTTLE_LENGTH, Arm, Scale, arm_for, other_starts
-from kpirl_ocp.cli.imitation.checks import camera_cost, check, check_places
+from kpirl_ocp.cli.imitation.checks import camera_cost, check, check_film
 from kpirl_ocp.cli.imitation.drawing import draw_imitation, draw_learning, draw_paths, side_by_side
 from kpirl_ocp.cli.imitation.execution import ALLOWED, Executed, execute, shortfall
 from kpirl_ocp.cli.imitation.learned_dynamics import imitate
@@ -22,7 +22,15 @@ from kpirl_ocp.perception.detector.tracks import detector_tracks
 from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, refusal
 from kpirl_ocp.perception.tracking.pictures import draw_object, evenly, track_film, track_sheet
 from kpirl_ocp.perception.tracking.tracks import Tracks, read_tracks, write_tracks
-from kpirl_ocp.perception.tracking.watch import Film, extent, find_object, follow_hand, follow_object, seen_at_rest
+from kpirl_ocp.perception.tracking.watch import (
+    Film,
+    as_taken,
+    extent,
+    find_object,
+    follow_hand,
+    follow_object,
+    seen_at_rest,
+)
 from kpirl_ocp.reporting import said_if_interrupted, table, write_metrics
 from kpirl_ocp.types import Array
 
@@ -33,14 +41,22 @@ _LEARNED_FROM = 5  # starts, so that the cost suits others as well
 def main(args: Namespace) -> int:
     """Watch, learn, plan, execute; 1 if an execution stays more than a tenth of the way from the demonstration."""
     check(args)
-    film = Film(args.film, args.source_rate if args.film.is_dir() else None, args.start, args.end or np.inf)
-    check_places(args, film)
-    film = film.steadied()
+    film = _film(args).steadied()
     if film.camera:
         print(f"camera:  moves its picture by up to {film.camera.reach:.0f} pixels; steadied on the background")
     tracks, length = _watch(args, film)
     with said_if_interrupted(lambda: _kept(args.out)):
         return _imitate(args, film, tracks, length)
+
+
+def _film(args: Namespace) -> Film:
+    """The part of the film that is asked for, and of which there are tracks."""
+    film = Film(args.film, args.source_rate if args.film.is_dir() else None, args.start, args.end or np.inf)
+    check_film(args, film)
+    if not args.tracks:
+        return film
+    times = read_tracks(args.tracks, rate=args.source_rate, size=film.first().shape[1::-1]).times
+    return replace(film, start=float(max(film.start, times[0])))
 
 
 def _kept(out: Path) -> str:
@@ -80,7 +96,6 @@ def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:
     length = None
     if args.tracks:
         tracks = seen_at_rest(film, read_tracks(args.tracks, rate=args.source_rate, size=film.first().shape[1::-1]))
-        tracks = tracks.between(film.start, min(film.end, float(tracks.times[-1])))
     elif args.hand:
         tracks = follow_hand(film)
     elif args.detector:
@@ -90,7 +105,7 @@ def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:
         print(f"object:  {draw_object(args.out / 'object.png', film.first(), mask)}")
         length = extent(mask)
         tracks = follow_object(film, mask)
-    write_tracks(args.out / "tracks.npz", tracks)
+    write_tracks(args.out / "tracks.npz", as_taken(film, tracks))
     return tracks, length
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from argparse import Namespace
 from pathlib import Path
 
+import numpy as np
+
 from kpirl_ocp.cli.imitation import learned_dynamics
 from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.errors import OptionError
@@ -12,8 +14,11 @@ from kpirl_ocp.irl.cases.cost_files import LearnedCost, robot_called
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.hands.landmarks import check_hands
 from kpirl_ocp.perception.tracking.objects import check_box, check_points
-from kpirl_ocp.perception.tracking.tracks import read_tracks
+from kpirl_ocp.perception.tracking.tracks import check_size, own_rate, read_tracks
 from kpirl_ocp.perception.tracking.watch import LONGEST, Film
+from kpirl_ocp.types import Array
+
+_SAME_RATE = 0.02  # relative difference of rates that are rounded, as 29.97 to 30 Hz
 
 
 def check(args: Namespace) -> None:
@@ -33,14 +38,16 @@ def check(args: Namespace) -> None:
         _arm_and_cost(args)
 
 
-def check_places(args: Namespace, film: Film) -> None:
-    """Raise OptionError if --box or --points are not in the film's first frame."""
+def check_film(args: Namespace, film: Film) -> None:
+    """Raise OptionError if --box, --points, --tracks or --source-rate contradict the film."""
     if args.box:
         with of_option("--box"):
             check_box(film.first(), args.box)
     if args.points:
         with of_option("--points"):
             check_points(film.first(), args.points)
+    if args.tracks:
+        _tracks_of(args, film)
 
 
 def camera_cost(path: Path, robot: str, steps: int) -> LearnedCost:
@@ -57,6 +64,8 @@ def camera_cost(path: Path, robot: str, steps: int) -> LearnedCost:
 
 
 def _together(args: Namespace) -> None:
+    if args.source_rate and args.film.is_file() and not args.tracks:
+        raise OptionError(f"--source-rate: {args.film} has times of its own; it is for pictures and --tracks")
     if args.end is not None and args.end <= args.start:
         raise OptionError(f"--end: must be after --start, {args.start:g} s, got {args.end:g} s")
     if args.dynamics and not args.detector:
@@ -69,6 +78,28 @@ def _together(args: Namespace) -> None:
         raise OptionError("--flange: not with --dynamics, which were learned with what the arm held")
     if args.dynamics and args.object_size:
         raise OptionError("--object-size: not with --dynamics, which know no metres; give --scale")
+
+
+def _tracks_of(args: Namespace, film: Film) -> None:
+    height, width = film.first().shape[:2]
+    tracks = read_tracks(args.tracks, rate=args.source_rate, size=(width, height))
+    with of_option("--tracks"):
+        check_size(tracks, (width, height))
+    if args.source_rate and not args.film.is_dir():
+        _check_rate(args, film.times(), len(tracks.times))
+
+
+def _check_rate(args: Namespace, times: Array, count: int) -> None:
+    """Raise OptionError if `count` frames of tracks, of a film with frames at times (n,) [s], cannot have the rate."""
+    own = own_rate(args.tracks)
+    if own is not None and abs(own / args.source_rate - 1) > _SAME_RATE:
+        raise OptionError(f"--source-rate: {args.tracks} has times of its own, at {own:.4g} frames a second")
+    found = (len(times) - 1) / max(float(np.ptp(times)), 1e-9)
+    if count <= len(times) and args.source_rate > (1 + _SAME_RATE) * found:  # more frames than those are interpolated
+        raise OptionError(
+            f"--source-rate: {args.film} has {found:.4g} frames a second, so {count} frames of tracks in it have no "
+            f"{args.source_rate:g}; give the film's rate, or a lower one if the tracks leave frames out"
+        )
 
 
 def _arm_and_cost(args: Namespace) -> None:

@@ -88,9 +88,8 @@ def _jumps(tracks: Tracks) -> Refusal | None:
 
 def _unsure(tracks: Tracks) -> Refusal | None:
     unsure = tracks.confidence.mean(axis=1) < _SURE
-    step = float(np.median(np.diff(tracks.times)))
     start, longest = _longest_run(unsure)
-    if unsure.mean() <= _UNSURE and longest * step <= _GAP:
+    if unsure.mean() <= _UNSURE and longest <= _GAP * tracks.rate:
         return None
     end = min(start + longest, len(unsure) - 1)
     return Refusal(

@@ -68,8 +68,7 @@ def overlays(frames: Iterable[tuple[float, Frames]], tracks: Tracks) -> Iterator
 
 def track_film(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Tracks) -> Path:
     """Write an .mp4 of the frames (time [s], image (H, W, 3)) of the tracks with their paths."""
-    rate = 1 / float(np.median(np.diff(tracks.times)))
-    return write_video(path, overlays(frames, tracks), round(rate, 2), codec="h264")
+    return write_video(path, overlays(frames, tracks), round(tracks.rate, 2), codec="h264")
 
 
 def track_sheet(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Tracks, chosen: Sequence[int]) -> Path:

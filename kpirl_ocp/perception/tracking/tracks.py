@@ -1,7 +1,7 @@
 """Tracks of keypoints through a film, our own or anybody's, and the files that hold them.
 
 A `.npz` may come from CoTracker, TAPIR or `write_tracks`; a `.csv` has the columns point, x, y, and time or frame, and
-visibility if it is known.
+visibility if it is known; frames are counted from zero.
 """
 
 from __future__ import annotations
@@ -61,6 +61,11 @@ class Tracks(Brief):
         """(n, 2) mean of the keypoints [pixels]."""
         return np.asarray(self.positions.mean(axis=1), float)
 
+    @property
+    def rate(self) -> float:
+        """Frames a second [Hz], in the median."""
+        return 1 / float(np.median(np.diff(self.times)))
+
     def between(self, start: float, end: float) -> Tracks:
         """The part from `start` to `end` [s], its times from zero on."""
         part = (self.times >= start - 1e-9) & (self.times <= end + 1e-9)
@@ -92,6 +97,18 @@ def of_object(located: Iterable[Located], keypoints: ArrayLike, size: tuple[int,
         positions.append(places)
         confidence.append((near * frame.found).sum(axis=1) / np.maximum(near.sum(axis=1), 1e-9))
     return Tracks(np.array(times), np.array(positions), np.array(confidence), size)
+
+
+def check_size(tracks: Tracks, size: tuple[int, int]) -> None:
+    """Raise DemonstrationError for tracks that are not in the pixels of frames of a size (width, height)."""
+    frames = f"the film's are {size[0]} x {size[1]} here: scale the tracks to that."
+    if tracks.size != size:
+        raise DemonstrationError(f"the tracks are for frames of {tracks.size[0]} x {tracks.size[1]} pixels, {frames}")
+    inside = np.all((tracks.positions >= 0) & (tracks.positions <= size), axis=-1)
+    outside = np.flatnonzero(np.all(tracks.confidence > 0, axis=1) & ~np.any(inside, axis=1))
+    if len(outside):
+        x, y = tracks.centre[outside[0]]
+        raise DemonstrationError(f"the tracks show all keypoints outside the frames, around {x:.0f},{y:.0f}; {frames}")
 
 
 def spread(mask: Mask) -> Array:
@@ -132,7 +149,7 @@ def read_tracks(path: str | Path, *, rate: float | None = None, size: tuple[int,
     if not path.is_file():
         raise FileError(f"there are no tracks {path}.")
     if path.suffix.lower() == ".csv":
-        positions, confidence, times = _from_csv(path)
+        positions, confidence, times = _from_csv(path, rate)
         known = size
     elif path.suffix.lower() == ".npz":
         positions, confidence, times, known = _from_npz(path, size)
@@ -149,6 +166,14 @@ def read_tracks(path: str | Path, *, rate: float | None = None, size: tuple[int,
         return Tracks(times, positions, confidence, known)
     except DemonstrationError as error:
         raise FileError(f"{path}: {error}") from error
+
+
+def own_rate(path: str | Path) -> float | None:
+    """Frames a second [Hz] of tracks that can be read; None if their file has no times."""
+    try:
+        return read_tracks(path, size=(1, 1)).rate
+    except FileError:
+        return None
 
 
 def _from_npz(path: Path, size: tuple[int, int] | None) -> tuple[Array, Array, Array | None, tuple[int, int] | None]:
@@ -181,7 +206,7 @@ def _taken(content: Mapping[str, Array], names: tuple[str, ...]) -> Array | None
     return np.asarray(array[0] if batched else array, float)
 
 
-def _from_csv(path: Path) -> tuple[Array, Array, Array | None]:
+def _from_csv(path: Path, rate: float | None) -> tuple[Array, Array, Array | None]:
     try:
         rows = list(csv.DictReader(StringIO(read_text(path), newline="")))
     except (OSError, ValueError, csv.Error) as error:
@@ -201,4 +226,5 @@ def _from_csv(path: Path) -> tuple[Array, Array, Array | None]:
             confidence[place] = float(row.get("visibility") or 1.0)
     except (TypeError, ValueError) as error:
         raise FileError(f"{path} holds something that is no number, or too much: {error}") from error
-    return positions, confidence, np.array(moments) if when == "time" else None
+    seconds = 1.0 if when == "time" else None if rate is None else 1 / rate
+    return positions, confidence, None if seconds is None else seconds * np.array(moments)

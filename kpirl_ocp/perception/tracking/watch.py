@@ -59,6 +59,10 @@ class Film:
             return image
         raise DemonstrationError(f"{self.path} has nothing from {self.start:g} s on.")
 
+    def times(self) -> Array:
+        """Times (n,) of its frames [s], from zero on."""
+        return np.array([time for time, _ in self.frames()])
+
     def steadied(self) -> Film:
         """The film with the motion of its camera, as seen in the background.
 
@@ -133,11 +137,22 @@ def _nearest(found: list[Hand], before: Array | None) -> Hand | None:
 
 
 def seen_at_rest(film: Film, tracks: Tracks) -> Tracks:
-    """Tracks in the film as it was taken, as a camera at rest sees them."""
+    """Tracks in a film as it was taken, as a camera at rest sees them, in its part with times from zero on."""
+    part = tracks.between(film.start, min(film.end, float(tracks.times[-1])))
+    return _seen_by(film, part, -1)
+
+
+def as_taken(film: Film, tracks: Tracks) -> Tracks:
+    """Tracks from a part of a film, in the film as it was taken and at its times: the inverse of `seen_at_rest`."""
+    return replace(_seen_by(film, tracks, 1), times=film.start + tracks.times)
+
+
+def _seen_by(film: Film, tracks: Tracks, power: int) -> Tracks:
+    """With the motion of the film's camera (1), or with its inverse (-1)."""
     if film.camera is None:
         return tracks
-    back = [np.asarray(np.linalg.inv(film.camera.at(time)), float) for time in tracks.times]
-    positions = np.array([transform(pose, places) for pose, places in zip(back, tracks.positions, strict=True)])
+    poses = [np.linalg.matrix_power(film.camera.at(film.start + time), power) for time in tracks.times]
+    positions = np.array([transform(pose, places) for pose, places in zip(poses, tracks.positions, strict=True)])
     return replace(tracks, positions=positions)
 
 
