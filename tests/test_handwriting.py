@@ -77,7 +77,7 @@ def test_held_out_strokes_are_followed_about_as_well_as_by_a_primitive_with_as_m
         train = [path for index, path in enumerate(paths) if index != held]
         strokes = [stroke(path) for path in train]
         learned = learn(problem, strokes, handwriting_start(KERNELS), Implicit(), LBFGS(), steps=40, progress=False)
-        plan = evaluate(problem, Riccati(), learned.psi, [stroke(paths[held])]).solutions[0]
+        plan = evaluate(problem, [stroke(paths[held])], learned.psi, Riccati()).solutions[0]
         primitive = MovementPrimitive.fit(train, 2 * KERNELS).run(paths[held][0], paths[held][-1], T)
         errors.append([rms(path, paths[held]) for path in (plan.states[:, :2], primitive)])
     ours, primitives = np.mean(errors, axis=0)

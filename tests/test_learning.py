@@ -135,7 +135,7 @@ def test_evaluation_of_the_demonstration_itself_is_zero_and_of_standing_still_is
 def test_evaluation_reports_the_squared_keypoint_distance(placing):
     robot, demonstrations = placing
     problem = keypoint_ocp(robot, KeypointCost(Weighted()), 9).unconstrained()
-    result = evaluate(problem, GradientDescent(2, 1e-2), np.ones(9), demonstrations)
+    result = evaluate(problem, demonstrations, np.ones(9), GradientDescent(2, 1e-2))
     for plan, demo, loss in zip(result.solutions, demonstrations, result.losses, strict=True):
         np.testing.assert_allclose(loss, np.sum((plan.states[:, :9] - demo.observations) ** 2), rtol=1e-12)
     assert result.failures == ""
@@ -144,7 +144,7 @@ def test_evaluation_reports_the_squared_keypoint_distance(placing):
 def test_an_evaluation_says_which_plans_failed(placing):
     robot, demonstrations = placing
     problem = keypoint_ocp(robot, KeypointCost(Weighted(), 0.1), 9)
-    result = evaluate(problem, Riccati(max_iterations=1), np.ones(9), demonstrations)
+    result = evaluate(problem, demonstrations, np.ones(9), Riccati(max_iterations=1))
     count = len(demonstrations)
     assert result.failures.startswith(f"{count} of {count} plans failed; number 0: ITERATION_LIMIT: ")
 

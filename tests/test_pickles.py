@@ -122,7 +122,7 @@ def test_a_robot_is_pickled_before_and_after_use():
 def test_what_was_learned_and_its_evaluation_are_pickled():
     case = pendulum()
     learned = learn(case.problem, [case.demonstration], PSI, Implicit(), Adam(0.01), steps=2, progress=False)
-    evaluated = evaluate(case.problem, Riccati(), learned.psi, [case.demonstration])
+    evaluated = evaluate(case.problem, [case.demonstration], learned.psi, Riccati())
     np.testing.assert_array_equal(copied(learned).psi, learned.psi)
     np.testing.assert_array_equal(copied(learned).losses, learned.losses)
     np.testing.assert_array_equal(copied(evaluated).losses, evaluated.losses)

@@ -34,7 +34,7 @@ def held_out(paths: list[Array], held: int, steps: int) -> dict[str, Array]:
     learned = learn(
         problem, demonstrations, handwriting_start(KERNELS), Implicit(), LBFGS(), steps=steps, progress=False
     ).raise_if_interrupted()
-    plan = evaluate(problem, Riccati(), learned.psi, [stroke(paths[held])]).solutions[0]
+    plan = evaluate(problem, [stroke(paths[held])], learned.psi, Riccati()).solutions[0]
     primitive = MovementPrimitive.fit(train, 2 * KERNELS)
     return {
         "demonstrated": paths[held],

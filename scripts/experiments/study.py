@@ -115,8 +115,8 @@ class Case:
 
     def curve(self, problem: OCP, solver: Solver, psis: Array, seconds: float) -> Curve:
         """Losses and distances of psis (n, n_psi)."""
-        trained = np.array([evaluate(problem, solver, psi, self.train).losses.mean() for psi in psis])
-        tested = [evaluate(problem, solver, psi, self.test) for psi in psis]
+        trained = np.array([evaluate(problem, self.train, psi, solver).losses.mean() for psi in psis])
+        tested = [evaluate(problem, self.test, psi, solver) for psi in psis]
         losses = np.array([result.losses.mean() for result in tested])
         distances = np.array([result.relative_distances.mean() for result in tested])
         return Curve(trained, losses, distances, int(np.argmin(trained)), seconds)

@@ -58,6 +58,6 @@ def run(models: Models, test: list[Demonstration], learned: Result) -> Result:
         """With the weights of these axes alone; axis 0 is x."""
         mask = np.isin(np.arange(dynamics.n_z) % 2, kept)
         psi = replace(cost, weights=np.where(mask, cost.weights, 0.0)).psi
-        return float(evaluate(problem, cost.solver, psi, test).losses.mean())
+        return float(evaluate(problem, test, psi, cost.solver).losses.mean())
 
     return {"both": loss(0, 1), "without_y": loss(0), "without_x": loss(1)}

@@ -170,7 +170,7 @@ def try_inner_loop(
     dynamics = models.load_dynamics(task)
     problem = planning_problem(dynamics, horizon_of(demonstrations))
     default = PlanningCost.default(problem.horizon, dynamics.n_z, inner.solver)
-    plain = evaluate(problem, default.solver, default.psi, demonstrations)
+    plain = evaluate(problem, demonstrations, default.psi, default.solver)
     found = []
     for index, demonstration in enumerate(demonstrations):
         others = demonstrations[:index] + demonstrations[index + 1 :]
@@ -179,7 +179,7 @@ def try_inner_loop(
         except CertificateError:  # NaN: the steps are too long
             found.append((np.inf, np.inf))
             continue
-        judged = evaluate(problem, learned.cost.solver, learned.cost.psi, others)
+        judged = evaluate(problem, others, learned.cost.psi, learned.cost.solver)
         found.append((judged.losses.mean(), judged.relative_distances.mean()))
     losses, distances = np.array(found).T
     return {
@@ -221,4 +221,4 @@ def choose(task: str, candidates: Sequence[Tried]) -> InnerLoop:
 
 def _mean_loss(dynamics: NetworkDynamics, cost: PlanningCost, demonstrations: Sequence[Demonstration]) -> float:
     problem = planning_problem(dynamics, cost.horizon)
-    return float(evaluate(problem, cost.solver, cost.psi, demonstrations).losses.mean())
+    return float(evaluate(problem, demonstrations, cost.psi, cost.solver).losses.mean())

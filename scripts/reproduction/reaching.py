@@ -98,7 +98,7 @@ def run(
     if learned["failure"]:
         return learned
     cost = unpacked(learned)
-    found = evaluate(planning_problem(dynamics, cost.horizon), cost.solver, cost.psi, test)
+    found = evaluate(planning_problem(dynamics, cost.horizon), test, cost.psi, cost.solver)
     x_of_moving = np.stack([moving, np.zeros_like(moving)], axis=1).ravel()
     planned = [plan.states[:, : dynamics.n_z] for plan in found.solutions]
     pairs = list(zip(planned, test, strict=True))

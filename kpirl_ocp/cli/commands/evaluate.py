@@ -55,7 +55,7 @@ def main(args: Namespace) -> None:
     fixed = 0.0 if isinstance(learned.solver, GradientDescent) else float(effort.mean())
     default = LearnedCost(KeypointCost(Default(), effort=fixed), np.zeros(0), learned.horizon, learned.solver)
     results = {
-        name: evaluate(cost.problem(robot), cost.solver, cost.psi, tests)
+        name: evaluate(cost.problem(robot), tests, cost.psi, cost.solver)
         for name, cost in (("learned", learned), ("Default", default))
     }
     still = [float(np.sum((demo.observations - demo.observations[0]) ** 2)) for demo in tests]

@@ -143,7 +143,7 @@ def show(args: Namespace, start: LearnedCost, result: LearningResult, problem: O
     out, learned, robot = args.out, replace(start, psi=result.psi), Robot.iiwa()
     demonstrations = [as_demonstration(robot, episode) for episode in episodes]
     plans = {
-        name: evaluate(problem, learned.solver, psi, demonstrations)
+        name: evaluate(problem, demonstrations, psi, learned.solver)
         for name, psi in (("starting cost", start.psi), ("learned cost", learned.psi))
     }
     header = ["", "train: IRL loss [m²]", "relative distance", "test: IRL loss [m²]", "relative distance"]

@@ -82,7 +82,7 @@ def apprenticeship(
         separable = margin > 0
         if not separable:
             break
-        plans = evaluate(problem, solver, psi, demonstrations)
+        plans = evaluate(problem, demonstrations, psi, solver)
         pairs = zip(plans.solutions, demonstrations, strict=True)
         found.append(np.mean([_features_of(problem, plan.states, demo, discount) for plan, demo in pairs], axis=0))
         history.append((psi, float(plans.losses.mean()), margin))

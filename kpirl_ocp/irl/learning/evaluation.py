@@ -35,12 +35,12 @@ class Evaluation(Brief):
 
 def evaluate(
     problem: Problems,
-    solver: Solver,
-    psi: ArrayLike,
     demonstrations: Sequence[Demonstration],
+    psi: ArrayLike,
+    solver: Solver,
     loss: Loss = squared_distance,
 ) -> Evaluation:
-    """Plan from the start of every demonstration with the cost psi (n_psi,), and compare; problems as in `learn`.
+    """Plan from the start of every demonstration with the cost psi (n_psi,), and compare; arguments as in `learn`.
 
     Raises:
         ProblemError: the observations of a demonstration do not fit the problem.
