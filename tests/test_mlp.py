@@ -258,7 +258,7 @@ def everything(at, x, dcostates):
     """All that dynamics linearised at some points know."""
     function, arguments = at.second()
     second = function.map(x.size2()).call(arguments)
-    return [at.value, at.Ft_lambda, at.F_times(x), at.Ft_lambda_tangent(x, dcostates), *second]
+    return [at.value, at.Ft_lambda, at.Ft_lambda_tangent(x, dcostates), *second]
 
 
 def test_a_state_of_another_shape_is_refused():

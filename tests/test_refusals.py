@@ -168,7 +168,7 @@ def test_numbers_that_are_not_finite_or_huge_end_in_a_status(solver):
 def test_a_guess_of_another_problem_is_refused():
     small = Ipopt().solve(state(), [0.0, 0.0])
     bounded = state(terminal_equality=S)
-    with pytest.raises(ProblemError, match=r"the guess's multipliers terminal_equality must be \(2,\), got \(0,\)"):
+    with pytest.raises(ProblemError, match=r"the guess's multipliers\.terminal_equality must be \(2,\), got \(0,\)"):
         Ipopt().solve(bounded, [0.0, 0.0], guess=small)
     with pytest.raises(ProblemError, match="states must be"):
         Ipopt().solve(state(horizon=11), [0.0, 0.0], guess=small)

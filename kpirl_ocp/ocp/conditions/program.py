@@ -15,8 +15,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.layout import (
+    check_multipliers,
     equality_multipliers,
     given,
     inequality_multipliers,
@@ -122,17 +122,9 @@ def starting_point(problem: OCP, s0: Array, psi: Array, context: Array, guess: G
     else:
         start = Trajectory(problem.as_states(guess.states), problem.as_actions(guess.actions))
     if isinstance(guess, Solution):
-        _check_multipliers(problem, guess.multipliers)
+        check_multipliers(problem, guess.multipliers)
     first = np.where(problem.free_start, start.states[0], s0)
     return np.concatenate([first, start.states[1:].ravel(), start.actions.ravel()])
-
-
-def _check_multipliers(problem: OCP, known: Multipliers) -> None:
-    expected = vars(unpack_multipliers(problem, *(np.zeros(n) for n in lengths(problem))))
-    for name, value in vars(known).items():
-        shape = expected[name].shape
-        if np.shape(value) != shape:
-            raise ProblemError(f"the guess's multipliers {name} must be {shape}, got {np.shape(value)}.")
 
 
 def not_started(

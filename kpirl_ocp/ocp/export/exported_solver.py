@@ -16,7 +16,7 @@ from kpirl_ocp.ocp.codegen.c_structures import SETTINGS, Structures, address
 from kpirl_ocp.ocp.codegen.compiler import EXPORT_FLAGS_NATIVE, compile_folder
 from kpirl_ocp.ocp.export.manifest import check, read, takes_schedules
 from kpirl_ocp.ocp.export.records import STATUS
-from kpirl_ocp.ocp.interior_point.core import check_multipliers
+from kpirl_ocp.ocp.problem.layout import check_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, check_guess
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters

@@ -12,17 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import kpirl_ocp.ocp.interior_point.library as c
-from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.numpy_calls import Build
 from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachine, pointer_to
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare, prepare_function
 from kpirl_ocp.ocp.interior_point.results import Results
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
-from kpirl_ocp.ocp.problem.layout import by_stage
+from kpirl_ocp.ocp.problem.layout import by_stage, check_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Given, Guess, StageDerivatives, StageValues, check_guess
-from kpirl_ocp.types import Array, Multipliers, Solution
+from kpirl_ocp.types import Array, Solution
 
 _OTHERS = 32  # things that a core keeps besides its functions
 _EVALUATIONS = 5  # of every stage that a use of such a function makes
@@ -237,21 +236,3 @@ def point_bounds(problem: OCP) -> tuple[Array, Array, NDArray[np.intc]]:
     pairs = zip(problem.limits, problem.action_bounds, strict=True)
     lower, upper = (by_stage(states, np.asarray(actions)) for states, actions in pairs)
     return lower, upper, np.flatnonzero(problem.free_start).astype(np.intc)
-
-
-def check_multipliers(problem: OCP, multipliers: Multipliers, of: str = "guess") -> None:
-    """Raise ProblemError when the multipliers of a guess, or of something else, do not fit the problem."""
-    steps = problem.horizon
-    shapes = {
-        "dynamics": (steps, problem.n_states),
-        "state": (steps + 1, problem.n_states),
-        "action": (steps, problem.n_actions),
-        "path": (steps, problem.n_path),
-        "path_equality": (steps, problem.n_path_equality),
-        "terminal": (problem.n_terminal,),
-        "terminal_equality": (problem.n_terminal_equality,),
-    }
-    for name, shape in shapes.items():
-        given = np.shape(getattr(multipliers, name))
-        if given != shape:
-            raise ProblemError(f"the {of}'s multipliers.{name} must be {shape}, got {given}: it is of another problem.")

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.activations import Slopes
-from kpirl_ocp.ocp.models.mlp import MLP, jvp, vjp, vjp_tangent
+from kpirl_ocp.ocp.models.mlp import MLP, vjp, vjp_tangent
 from kpirl_ocp.ocp.models.mlp_hessian import prepare, second
 from kpirl_ocp.types import Array
 
@@ -121,12 +121,6 @@ class LinearisedNetwork:
     def Ft_lambda(self) -> ca.MX:
         """The costates pulled back through every stage."""
         return self.dynamics.Ft_lambda(self._slopes, self.costates)
-
-    def F_times(self, x: ca.MX) -> ca.MX:
-        """The change of the successors along x."""
-        n_s = self.dynamics.n_states
-        by_network, _ = jvp(self.dynamics.mlp, self._slopes, x)
-        return self.dynamics.successor(x[:n_s, :], by_network, x[n_s:, :])
 
     def Ft_lambda_tangent(self, x: ca.MX, dcostates: ca.MX) -> ca.MX:
         """The change of `Ft_lambda`."""

@@ -16,6 +16,7 @@ from itertools import accumulate
 
 import numpy as np
 
+from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Mask, Multipliers, Trajectory
 
@@ -81,6 +82,24 @@ def unpack_multipliers(problem: OCP, nu: Array, lam: Array, mu: Array) -> Multip
         terminal=terminal,
         terminal_equality=terminal_equality,
     )
+
+
+def check_multipliers(problem: OCP, multipliers: Multipliers, of: str = "guess") -> None:
+    """Raise ProblemError when the multipliers of a guess, or of something else, do not fit the problem."""
+    steps = problem.horizon
+    shapes = {
+        "dynamics": (steps, problem.n_states),
+        "state": (steps + 1, problem.n_states),
+        "action": (steps, problem.n_actions),
+        "path": (steps, problem.n_path),
+        "path_equality": (steps, problem.n_path_equality),
+        "terminal": (problem.n_terminal,),
+        "terminal_equality": (problem.n_terminal_equality,),
+    }
+    for name, shape in shapes.items():
+        given = np.shape(getattr(multipliers, name))
+        if given != shape:
+            raise ProblemError(f"the {of}'s multipliers.{name} must be {shape}, got {given}: it is of another problem.")
 
 
 def live_equalities(problem: OCP) -> Mask:

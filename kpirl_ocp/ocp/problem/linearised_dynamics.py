@@ -26,10 +26,6 @@ class LinearisedDynamics(Protocol):
         """F' lambda (n_x, B)."""
         ...
 
-    def F_times(self, x: ca.MX) -> ca.MX:
-        """F x (n_s, B)."""
-        ...
-
     def Ft_lambda_tangent(self, x: ca.MX, dcostates: ca.MX) -> ca.MX:
         """The change of `Ft_lambda` along (x, dlambda): (lambda . f)'' x + F' dlambda (n_x, B)."""
         ...
@@ -62,13 +58,10 @@ class LinearisedByStage:
         """The costates pulled back through every stage."""
         return ca.vertcat(*self._first[1:])
 
-    def F_times(self, x: ca.MX) -> ca.MX:
-        """The change of the successors along x."""
-        return self._tangent(x, ca.MX.zeros(self.costates.shape))[0]
-
     def Ft_lambda_tangent(self, x: ca.MX, dcostates: ca.MX) -> ca.MX:
         """The change of `Ft_lambda`."""
-        return self._tangent(x, dcostates)[1]
+        change: ca.MX = _tangent(self.dynamics).map(self.states.size2())(*self._at, x, dcostates)
+        return change
 
     def second(self) -> tuple[ca.Function, list[ca.MX]]:
         """Nothing is computed beforehand."""
@@ -81,9 +74,6 @@ class LinearisedByStage:
     @cached_property
     def _first(self) -> list[ca.MX]:
         return list(first_derivatives(self.dynamics).map(self.states.size2()).call(self._at))
-
-    def _tangent(self, x: ca.MX, dcostates: ca.MX) -> list[ca.MX]:
-        return list(_tangent(self.dynamics).map(self.states.size2()).call([*self._at, x, dcostates]))
 
 
 @lru_cache(maxsize=64)
@@ -108,14 +98,13 @@ def second_derivatives(dynamics: ca.Function) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def _tangent(dynamics: ca.Function) -> ca.Function:
-    """(s, u, psi, lambda, x, dlambda) -> F x, and the change of F' lambda."""
+    """(s, u, psi, lambda, x, dlambda) -> the change of F' lambda (n_x,)."""
     first = first_derivatives(dynamics)
     s, u, psi, costate = first.mx_in()
     x, dcostate = ca.MX.sym("x", s.numel() + u.numel()), ca.MX.sym("dlambda", s.numel())
-    value, *Ft_lambda = first(s, u, psi, costate)
-    changes = ca.jtimes(ca.vertcat(value, *Ft_lambda), ca.vertcat(s, u, costate), ca.vertcat(x, dcostate))
-    outputs = ca.vertsplit(changes, [0, s.numel(), changes.numel()])
-    return ca.Function("tangent", [s, u, psi, costate, x, dcostate], [ca.densify(y) for y in outputs])
+    _, *Ft_lambda = first(s, u, psi, costate)
+    change = ca.jtimes(ca.vertcat(*Ft_lambda), ca.vertcat(s, u, costate), ca.vertcat(x, dcostate))
+    return ca.Function("tangent", [s, u, psi, costate, x, dcostate], [ca.densify(change)])
 
 
 def depends_on_psi(dynamics: ca.Function) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.interior_point import library as c
-from kpirl_ocp.ocp.interior_point.core import check_multipliers
+from kpirl_ocp.ocp.problem.layout import check_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Solution, floats
 
