@@ -298,3 +298,44 @@ def test_the_adjoint_of_a_quadratic_program_is_the_same_beside_its_solution():
     assert found.certificate.change == 0
     smoothed = certificate_of(problem, 0.7, (0.0, 0.3, 0.4), solver=Riccati().with_barrier(1e-3))
     assert 0 < smoothed.certificate.change < 1e-4
+
+
+@pytest.mark.parametrize("option", ["is_diff_in", "is_diff_out"])
+def test_a_function_that_is_told_to_have_no_derivative_is_not_taken_for_a_polynomial(option):
+    """CasADi takes zero for its derivative: the gradient would be zero, and the slopes of the loss are not."""
+    p = ca.MX.sym("p")
+    square = ca.Function("square", [p], [p**2], {option: [False], "never_inline": True})
+    assert not is_quadratic(ca.Function("f", [p], [2 * square(p)]))
+    s, u = ca.MX.sym("s"), ca.MX.sym("u")
+    stated = {"state": s, "action": u, "parameters": p, "dynamics": s + u, "stage_cost": (u - square(p)) ** 2}
+    problem = OCP.from_expressions(horizon=2, **stated)
+    seen = Demonstration(np.ones(1), np.zeros(0), np.array([[1.0], [0.5], [1.0]]))
+    for method in (Implicit(policy="flag"), Unrolled(GradientDescent(50, 0.1), policy="flag")):
+        assert not method(problem, seen, [0.7]).certificate.certified
+
+
+@pytest.mark.parametrize(
+    ("problem", "p"),
+    [
+        ({"dynamics": S + 1e8 * (P - 0.7) * U, "stage_cost": (U - 1) ** 2}, 0.7 + 1e-8),
+        ({"dynamics": S + U, "stage_cost": (1 + 1e16 * (P - 0.7) ** 2) * (U - 1) ** 2}, 0.7 + 1e-8),
+        ({"dynamics": S + U + 1e10 * (P - 0.7) ** 2 * S, "stage_cost": (U - P) ** 2}, 0.7),
+    ],
+    ids=["product", "weight", "growth"],
+)
+def test_polynomials_that_are_as_steep_in_psi_as_a_sigmoid_are_not_taken_for_harmless(problem, p):
+    """Within a millionth of psi the steps diverge, or the slopes are others."""
+    stated = PLAIN | problem | {"terminal_cost": (S - 1) ** 2}
+    seen = Demonstration(np.ones(1), np.zeros(0), np.array([[1.0], [0.5], [1.0]]))
+    for method in (Implicit(policy="flag"), Unrolled(GradientDescent(100, 0.1), policy="flag")):
+        assert not method(OCP.from_expressions(**stated), seen, [p]).certificate.certified
+
+
+@pytest.mark.parametrize(("beside", "certified"), [(1e-7, False), (1e-3, True)])
+def test_a_minimum_that_ends_within_a_millionth_of_psi_has_no_certified_derivative(beside, certified):
+    """(p - q) u^2 / 2 - u has its minimum at 1 / (p - q), and none below q; at fixed u all of it is linear in p."""
+    stated = PLAIN | {"dynamics": S + U, "stage_cost": (P - 0.7 + beside) * U**2 / 2 - beside * U}
+    seen = Demonstration(np.ones(1), np.zeros(0), np.array([[1.0], [0.5], [1.0]]))
+    found = Implicit(policy="flag")(OCP.from_expressions(**stated | {"terminal_cost": 0 * S}), seen, [0.7])
+    assert found.certificate.certified is certified
+    assert found.gradient[0] == pytest.approx(-11 / beside, rel=1e-6)

@@ -23,7 +23,7 @@ from stress.peers.rates import Answer, answer
 from stress.settings import PROFILES
 from stress.statuses import confirmed
 
-from kpirl_ocp import FiniteDifference, Ipopt, Status, Unrolled
+from kpirl_ocp import FiniteDifference, Implicit, Ipopt, Status, Unrolled
 from kpirl_ocp.errors import CertificateError
 from kpirl_ocp.ocp.codegen import compiler as native
 
@@ -116,6 +116,21 @@ def test_most_healthy_cases_are_certified(contest):
     assert healthy(total) >= 0.95
     assert contest[0].keys() == FAMILIES.keys()
     assert min(total[verdict] for verdict in (Verdict.RIGHT, Verdict.RIGHTLY_FLAGGED)) >= QUICK.cases // 4
+
+
+def test_derivatives_of_steep_functions_are_certified_where_they_hold_over_a_millionth_of_psi():
+    verdicts = Counter(judge(draw(index)) for index in range(8, 1208, 20))
+    assert verdicts[Verdict.WRONG] == 0
+    assert min(verdicts[Verdict.RIGHT], verdicts[Verdict.RIGHTLY_FLAGGED]) >= 10
+
+
+def test_a_corner_that_the_plan_meets_beside_psi_is_seen_though_it_does_not_lie_along_the_adjoint():
+    """It is 1.2e-7 away, rounded within 3e-10: the slope is 8.3 here and to one side, 1.1 to the other."""
+    case = FAMILIES["steep, but smooth"](np.random.default_rng([7, 221]), True)
+    found = Implicit(case.solver, case.loss, "flag")(case.problem, case.demonstration, case.psi, case.guess)
+    assert case.truth(found.certificate.solution.trajectory).gradient is None
+    assert not found.certificate.certified
+    assert found.certificate.failures[0].startswith("Derivatives disagree with differences")
 
 
 def test_known_answers_agree_with_finite_differences():

@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.irl.hypergradients.loss import Loss
-from kpirl_ocp.ocp.conditions.polynomials import is_affine_in, is_quadratic
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.certificate import KINK
@@ -52,19 +51,6 @@ def kinks_at(problem: OCP, loss: Loss, data: Array, solution: Solution) -> list[
     """Sentences if the loss, or a function of psi, is not smooth at a plan; data: (n_data, T+1) of the loss."""
     plan = by_stage(solution.states, solution.actions)
     return LossAt(problem, loss, data, plan).kinks + parameter_kinks(problem, solution)
-
-
-@lru_cache(maxsize=64)
-def quadratic_costs(problem: OCP, loss: Loss) -> bool:
-    """Are costs, observation and loss quadratic?"""
-    stated = (problem.stage_cost, problem.terminal_cost, problem.observation, loss(problem))
-    return all(is_quadratic(function) for function in stated if function is not None)
-
-
-@lru_cache(maxsize=64)
-def affine_dynamics(problem: OCP) -> bool:
-    """Are the dynamics affine in states and actions, and at most quadratic in psi and the context?"""
-    return is_quadratic(problem.dynamics) and is_affine_in(problem.dynamics, [0, 1])
 
 
 @lru_cache(maxsize=64)

@@ -27,11 +27,13 @@ from kpirl_ocp.irl.hypergradients.certificate import (
     nonfinite_failures,
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
-from kpirl_ocp.irl.hypergradients.smoothness import LossAt, affine_dynamics, parameter_kinks, quadratic_costs
+from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
+from kpirl_ocp.irl.hypergradients.straight_steps import has_straight_steps
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
-from kpirl_ocp.irl.hypergradients.unrolled_slopes import Descents
+from kpirl_ocp.irl.hypergradients.unrolled_slopes import Descents, direction
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_function
+from kpirl_ocp.ocp.conditions.steepness import even_in_psi
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
@@ -70,9 +72,9 @@ class UnrolledCertificate(Certificate):
     kink: relative difference between the gradient and the slopes of the loss to both sides, along one fixed random
         direction of psi, from steps taken again at psi beside; what curvature explains is left out. It also measures
         what truncation left out. Zero, and not measured, where the steps enlarge differences (`remainder`) at most
-        100 times, costs, observation and loss are quadratic, and the dynamics affine, or a network with ReLU whose
-        arguments stay clear of kinks at all iterates. That other functions have no kink is not enough: a sigmoid may be
-        as steep as a step.
+        100 times, costs and loss are quadratic, and the dynamics affine, with coefficients that hardly change beside
+        psi, or a network with ReLU whose arguments stay clear of kinks at all iterates. That other functions have no
+        kink is not enough: a sigmoid may be as steep as a step.
     """
 
     steps: int
@@ -179,8 +181,9 @@ def unrolled_gradients(
         for context, output in zip(contexts, _outputs(descents, last, checkpoint), strict=True)
     ]
     wrong = () if passes_agree(problem, len(demonstrations)) else (WRONG_DERIVATIVES,)
-    straight = last == solver.steps and quadratic_costs(problem, loss) and all(sweep.steady for sweep in sweeps)
-    if straight and (affine_dynamics(problem) or all(sweep.clear for sweep in sweeps)):
+    clear, steady = (all(found) for found in zip(*((sweep.clear, sweep.steady) for sweep in sweeps), strict=True))
+    straight = last == solver.steps and steady and has_straight_steps(problem, loss, clear)
+    if straight and all(even_in_psi(problem, x.certificate.solution, direction(numbers)) for x in sweeps):
         return [sweep.result(0.0, wrong) for sweep in sweeps]
     ends = [
         LossAt(problem, loss, data_of(loss, problem, demonstration), _plan(sweep.certificate.solution))

@@ -77,7 +77,7 @@ class Descents:
             gradients: (B, n_psi).
             terms: (B,) the size of the terms of each loss, with what the steps enlarge them by.
         """
-        move = _direction(self.psi)
+        move = direction(self.psi)
         noise = _ROUNDING * terms / _STEP
         expected, total = gradients @ move, np.abs(gradients * move).sum(axis=1)
         far = self._slopes(move, _STEP, losses)
@@ -101,7 +101,7 @@ class Descents:
         return np.array([[1.0], [-1.0]]) * (beside.reshape(2, count) - losses) / length
 
 
-def _direction(psi: Array) -> Array:
+def direction(psi: Array) -> Array:
     """(n_psi,) random, always the same, in units of the parameters."""
     size = np.abs(psi).max(initial=0.0)
     own = np.maximum(np.abs(psi), _SMALL * size) if size > 0 else np.ones(len(psi))

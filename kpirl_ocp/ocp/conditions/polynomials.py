@@ -16,8 +16,11 @@ _POLYNOMIAL = frozenset(getattr(ca, f"OP_{name}") for name in f"{_MOVING} {_COMP
 def is_polynomial(function: ca.Function) -> bool:
     """Does the function add and multiply, and nothing else? (A division is taken for none, by a constant even.)
 
-    Functions without a graph of operations (integrators, tables, callbacks) count as none.
+    Functions without a graph of operations (integrators, tables, callbacks) count as none, and so do those that are
+    told not to be differentiable (`is_diff_in`): CasADi takes zero for their derivatives.
     """
+    if not (all(function.is_diff_in()) and all(function.is_diff_out())):
+        return False
     if function.is_a("Map"):
         return is_polynomial(function.info()["f"])
     if not (function.is_a("SXFunction") or function.is_a("MXFunction")):

@@ -9,6 +9,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from stress.certificates.steep import Function
+
 Expression = Callable[[ca.SX, ca.SX], ca.SX]
 
 
@@ -34,6 +36,10 @@ class Law:
     drift: added to the dynamics, a function of p, with its value and its derivative (None where there is none).
     due: the problem is smooth around p, so that a certificate is expected.
     start: (n_v,) of the solver.
+    follow, follow_drift: p -> v*(p) and the drift, for laws that are steep: their derivative has to be the slope to
+        both sides.
+    swing: a steep function of the first coordinate of the state, added to the first of the dynamics; swing_distance:
+        of the state after one step from its steepest place.
     """
 
     cost: Expression
@@ -42,8 +48,12 @@ class Law:
     due: bool
     inequality: Expression | None = None
     equality: Expression | None = None
-    upper: np.ndarray | float = np.inf
+    upper: np.ndarray | float | Callable[[ca.SX], ca.SX] = np.inf
     drift: Callable[[ca.SX], ca.SX] | None = None
     drift_branch: Branch = Branch(np.zeros(1), np.zeros(1))
     start: np.ndarray | None = None
+    follow: Callable[[float], np.ndarray] | None = None
+    follow_drift: Callable[[float], float] | None = None
+    swing: Function | None = None
+    swing_distance: float = 0.0
     n: int = 1

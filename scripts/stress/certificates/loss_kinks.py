@@ -19,7 +19,8 @@ from stress.certificates.distances import DUE, gap
 class Seen:
     """observation: of x (n_s,). slopes: dL/dX (T+1, n_s), None where there is none; in units of the state.
 
-    power: of the unit of the state in the loss.
+    power: of the unit of the state in the loss. value: of the loss, where it is followed to both sides.
+    in_unit: unit of the state -> the loss, where it is not the same one in all.
     """
 
     observation: Callable
@@ -28,12 +29,19 @@ class Seen:
     loss: Loss = squared_distance
     due: bool = True
     power: int = 2
+    value: Callable | None = None
+    in_unit: Callable | None = None
 
 
 def SQUARES(rng, states):
     """The state itself, and squares."""
     observations = states + rng.normal(size=states.shape)
-    return Seen(lambda x: x, observations, lambda found: 2 * (found - observations))
+    return Seen(
+        lambda x: x,
+        observations,
+        lambda found: 2 * (found - observations),
+        value=lambda found: float(np.sum((found - observations) ** 2)),
+    )
 
 
 def reached(rng, states):
@@ -51,14 +59,14 @@ def bent(rng, states):
     return Seen(lambda x: x + ca.sin(x) / 2, observations, slopes)
 
 
-def _place(rng, states):
+def place(rng, states):
     """A stage after the first, a coordinate, and its distance from the kink."""
     return int(rng.integers(1, len(states))), int(rng.integers(states.shape[1])), gap(rng)
 
 
 def _kinked(rng, states, expression, value, slope):
     """z has another coordinate, bend(x_i - q), that bends at or beside the plan at one stage."""
-    t, i, g = _place(rng, states)
+    t, i, g = place(rng, states)
     q = states[t, i] - g
     x = states[:, i] - q
     x[t] = g
@@ -102,7 +110,7 @@ def _l1(problem):
 
 def absolute_loss(rng, states):
     """The sum of |x - z|, one of which is at or beside its kink."""
-    t, i, g = _place(rng, states)
+    t, i, g = place(rng, states)
     off = rng.choice([-1, 1], states.shape) * rng.uniform(0.1, 1, states.shape)
     off[t, i] = g
     observations = states - off

@@ -64,8 +64,7 @@ static void moved(const real *from, const real *move, real length, int count, re
   for (i = 0; i < count; ++i) to[i] = from[i] + length * move[i];
 }
 
-/* The sum of weights times conditions, and of the absolute values. */
-static real weighted_sum(const kpirl_mpc_system *s, const kpirl_mpc_triple *weights, const real *values, real *sizes) {
+real kpirl_mpc_weighted_sum(const kpirl_mpc_system *s, const kpirl_mpc_triple *weights, const real *values, real *sizes) {
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n_rows = kpirl_mpc_n_conditions(s) - n_w - n_c;
   const real *forces = weights->forces + s->n_bounds, *rows = values + n_w + n_c;
   *sizes = kpirl_mpc_absolute_dot(weights->x, values, n_w) + kpirl_mpc_absolute_dot(weights->costates, values + n_w, n_c) +
@@ -74,13 +73,12 @@ static real weighted_sum(const kpirl_mpc_system *s, const kpirl_mpc_triple *weig
          kpirl_mpc_dot(forces, rows, n_rows);
 }
 
-/* The same where the parameters and s_0 are moved. */
-static real weighted_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
-                                real length, real *sizes, real *work) {
+real kpirl_mpc_weighted_beside(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
+                              real length, real *values, real *work) {
   const kpirl_mpc_system *s = &k->system;
-  const int n_w = kpirl_mpc_system_n_point(s), n = kpirl_mpc_n_conditions(s), n_s = s->n_states;
+  const int n_w = kpirl_mpc_system_n_point(s), n_s = s->n_states;
   const int n_psi = k->dimensions.n_parameters, n_context = k->dimensions.n_context;
-  real *values = work, *x = values + n, *psi = x + n_w, *s0 = psi + n_psi, *context = s0 + n_s;
+  real *x = work, *psi = x + n_w, *s0 = psi + n_psi, *context = s0 + n_s, ignored;
   kpirl_mpc_numbers numbers = k->numbers;
   int i;
   numbers.psi = psi;
@@ -93,7 +91,7 @@ static real weighted_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, co
   moved(k->point.x, moves + n_psi, length, n_s, x);
   for (i = 0; i < s->n_free; ++i) x[s->free[i]] = k->point.x[s->free[i]];
   kpirl_mpc_conditions(k, core, &numbers, x, values);
-  return weighted_sum(s, weights, values, sizes);
+  return kpirl_mpc_weighted_sum(s, weights, values, &ignored);
 }
 
 /* And where they are not. */
@@ -102,7 +100,7 @@ static real weighted_here(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kp
     kpirl_mpc_known_conditions(k, work);
   else
     kpirl_mpc_conditions(k, core, &k->numbers, k->point.x, work);
-  return weighted_sum(&k->system, weights, work, sizes);
+  return kpirl_mpc_weighted_sum(&k->system, weights, work, sizes);
 }
 
 /* The derivatives by psi and the context, times their moves, where these are moved. */
@@ -153,8 +151,9 @@ static real slope_jump(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *functio
 real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
                                   const kpirl_mpc_triple *weights, const kpirl_mpc_by_parameters *by) {
   const int n_psi = k->dimensions.n_parameters, n_s = k->system.n_states, n_context = k->dimensions.n_context;
-  real *moves = k->work, *work = moves + n_psi + n_s + n_context;
-  real expected = 0, total = 0, sides[3], sizes, ignored, noise, whole, off;
+  const int n = kpirl_mpc_n_conditions(&k->system);
+  real *moves = k->work, *left = moves + n_psi + n_s + n_context, *right = left + n, *work = right + n;
+  real expected = 0, total = 0, sides[2], sizes, here, noise, whole, off, beside = 0;
   int i;
   if (n_psi + n_context == 0 && !by->s0) return 0;
   find_moves(k, k->numbers.psi, n_psi, moves);
@@ -166,15 +165,17 @@ real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, 
     expected += slope * moves[i];
     total += kpirl_mpc_abs(slope * moves[i]);
   }
-  sides[0] = weighted_conditions(k, core, weights, moves, -DIFFERENCE, &ignored, work);
-  sides[1] = weighted_here(k, core, weights, &sizes, work);
-  sides[2] = weighted_conditions(k, core, weights, moves, DIFFERENCE, &ignored, work);
-  sides[0] = (sides[1] - sides[0]) / DIFFERENCE;
-  sides[2] = (sides[2] - sides[1]) / DIFFERENCE;
+  sides[0] = kpirl_mpc_weighted_beside(k, core, weights, moves, -DIFFERENCE, left, work);
+  here = weighted_here(k, core, weights, &sizes, work);
+  sides[1] = kpirl_mpc_weighted_beside(k, core, weights, moves, DIFFERENCE, right, work);
+  sides[0] = (here - sides[0]) / DIFFERENCE;
+  sides[1] = (sides[1] - here) / DIFFERENCE;
   noise = ROUNDING * sizes / DIFFERENCE;
-  whole = kpirl_mpc_worse(kpirl_mpc_worse(total, noise), kpirl_mpc_worse(kpirl_mpc_abs(sides[0]), kpirl_mpc_abs(sides[2])));
-  off = kpirl_mpc_worse(kpirl_mpc_abs(sides[0] - expected), kpirl_mpc_abs(sides[2] - expected));
-  return kpirl_mpc_worse(whole > 0 ? off / whole : 0, slope_jump(k, function, weights, by, moves, whole, work));
+  whole = kpirl_mpc_worse(kpirl_mpc_worse(total, noise), kpirl_mpc_worse(kpirl_mpc_abs(sides[0]), kpirl_mpc_abs(sides[1])));
+  off = kpirl_mpc_worse(kpirl_mpc_abs(sides[0] - expected), kpirl_mpc_abs(sides[1] - expected));
+  if (k->factored && !(k->barrier > 0)) beside = kpirl_mpc_kink_beside(k, core, weights, moves, left, right, here, total, work);
+  return kpirl_mpc_worse(kpirl_mpc_worse(whole > 0 ? off / whole : 0, beside),
+                         slope_jump(k, function, weights, by, moves, whole, work));
 }
 
 /* ---- of a loss --------------------------------------------------------------------------------------------------- */

@@ -165,6 +165,18 @@ real kpirl_mpc_kink_along(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const 
 real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
                                   const kpirl_mpc_triple *weights, const kpirl_mpc_by_parameters *by);
 
+/* The sum of weights times conditions, and of the absolute values, `sizes`; and the former where psi, s_0 and the context are moved,
+ * with the conditions there. */
+real kpirl_mpc_weighted_sum(const kpirl_mpc_system *system, const kpirl_mpc_triple *weights, const real *values, real *sizes);
+real kpirl_mpc_weighted_beside(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
+                               real length, real *values, real *work);
+
+/* How far the slopes of the weighted conditions are from zero, relative to `total`, to both sides along the plan that derivatives
+ * predict where the parameters move; what is proportional to the step is curvature. left, right: conditions where parameters alone
+ * have moved, by -1e-6 and 1e-6 of moves. here: the weighted sum. */
+real kpirl_mpc_kink_beside(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
+                           const real *left, const real *right, real here, real total, real *work);
+
 /* Derivatives of the weighted conditions by psi and the context at others than those of the point. Returns 0 when all went well. */
 int kpirl_mpc_weigh(const kpirl_mpc_kkt *kkt, const kpirl_mpc_weighted *function, const kpirl_mpc_triple *weights,
                     const real *psi, const real *context, real *by_psi, real *by_context);
