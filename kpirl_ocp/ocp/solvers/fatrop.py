@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.conditions.program import not_started, selected, starting_point, trajectory_of, transcribe
-from kpirl_ocp.ocp.problem.layout import lengths, pack, unpack, unpack_multipliers
+from kpirl_ocp.ocp.problem.layout import by_stage, lengths, pack, split, unpack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
@@ -80,10 +80,12 @@ class Fatrop:
         if not _finite(problem, w, psi, context):
             return not_started(problem, w, psi, context, "a function or its gradient is not finite at the start")
         program = _build(problem, self)
-        lower, upper = (_in_stages(*pair) for pair in zip(problem.limits, problem.action_bounds, strict=True))
+        bounds = zip(problem.limits, map(np.asarray, problem.action_bounds), strict=True)
+        lower, upper = (by_stage(*pair) for pair in bounds)
+        begun = unpack(problem, w)
         try:
             result = program.solver(
-                x0=_in_stages(*vars(unpack(problem, w)).values()),
+                x0=by_stage(begun.states, begun.actions),
                 p=np.concatenate([start, psi, context]),
                 lbx=lower,
                 ubx=upper,
@@ -167,17 +169,9 @@ def _finite(problem: OCP, w: Array, psi: Array, context: Array) -> bool:
     return all(np.isfinite(value.full()).all() for value in values)
 
 
-def _in_stages(states: ArrayLike, actions: ArrayLike) -> Array:
-    """x = (s_0, u_0, .. s_T) of (T+1, n_s) and (T, n_u)."""
-    S, U = np.asarray(states), np.asarray(actions)
-    return np.concatenate([np.hstack([S[:-1], U]).ravel(), S[-1]])
-
-
 def _by_kind(problem: OCP, x: Array) -> Trajectory:
-    """The inverse of `_in_stages`."""
-    n_s = problem.n_states
-    stages = x[:-n_s].reshape(problem.horizon, -1)
-    return Trajectory(np.vstack([stages[:, :n_s], x[-n_s:]]), stages[:, n_s:])
+    """The trajectory of x, in the order of `by_stage`."""
+    return Trajectory(*split(x, problem.horizon, problem.n_states, problem.n_actions))
 
 
 @lru_cache(maxsize=64)
