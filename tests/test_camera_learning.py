@@ -134,6 +134,16 @@ def test_a_path_that_leaves_the_image_is_refused_with_what_to_do():
         arm_for("iiwa", None, way(across=500.0), SCALE)
 
 
+@pytest.mark.parametrize("name", ["iiwa", "ur5"])
+@pytest.mark.parametrize("path", [way(across=700.0), way(across=-150.0, down=-600.0, turn=0.5)])
+def test_the_scale_that_the_refusal_names_fits(name, path):
+    with pytest.raises(DemonstrationError, match="leaves its image") as refused:
+        arm_for(name, None, path, Scale(0.9, 0.25, None))
+    smaller = float(re.search(r"as --scale (\S+), or", str(refused.value))[1])
+    assert 0.1 < smaller < 0.9
+    arm_for(name, None, path, Scale(smaller, 0.25, None))
+
+
 def test_a_path_that_the_arm_cannot_follow_is_refused(iiwa):
     arm, _ = iiwa
     too_far = 0.5 * (way(across=700.0) - way()[0])

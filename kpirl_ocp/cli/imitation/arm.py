@@ -24,6 +24,7 @@ BOTTLE_LENGTH = 0.25  # [m]
 _WORKSPACE = np.array([[0.46, 0.40], [0.78, 0.80]])  # of the bottle in front of the iiwa, x and z [m]
 _VIEW = np.array([0.0, -1.45, 0.08])  # from the bottle to the camera of another arm than the iiwa [m]
 _BEND = 1.0  # of the joints of another arm [rad]: almost stretched, three joints hardly move the bottle lengthwise
+_SMALLER = 0.9  # of the largest scale that fits
 _MARGIN = 5.0  # keypoints stay this far inside the image [pixels]
 _AWAY = 0.08  # other starts from the first, and the first from joint limits, at most and at least [rad]
 _MOST = 0.3  # largest displacement of a joint in one step [rad]
@@ -94,8 +95,7 @@ def arm_for(name: str, flange: str | None, places: Array, scale: Scale) -> tuple
     held = held_points(pinhole, rotation, position, figure)
     keypoints = _on_flange(name, link, bare, start, rotation, position, held)
     setting = ArmSetting(name, keypoints, camera.height / 2, pinhole, max_displacement=_MOST)
-    pixels = camera.project(position) + figure + way
-    _check_view(pixels, camera)
+    _check_view(camera, camera.project(position), figure + way, factor)
     return Arm(name, link, start, camera, setting, setting.build()), way
 
 
@@ -170,11 +170,15 @@ def _elsewhere(name: str, flange: str, robot: Robot) -> tuple[Camera, Array]:
     return Camera(eye=eye, target=target), start  # type: ignore[arg-type]
 
 
-def _check_view(pixels: Array, camera: Camera) -> None:
+def _check_view(camera: Camera, place: Array, offsets: Array, scale: float) -> None:
+    """Raise DemonstrationError, with a scale that fits, if offsets (T+1, K, 2) from a place (2,) leave the image."""
     size = np.array([camera.width, camera.height])
-    if (pixels < _MARGIN).any() or (pixels > size - _MARGIN).any():
-        span = np.ptp(pixels.reshape(-1, 2), axis=0).max()
+    room = np.where(offsets < 0, place - _MARGIN, size - _MARGIN - place)
+    fits = float((room / np.maximum(np.abs(offsets), 1e-9)).min())
+    if fits < 1:
+        span = np.ptp(offsets.reshape(-1, 2), axis=0).max()
         raise DemonstrationError(
-            f"scaled, the path spans {span:.0f} of the {camera.width} pixels of the arm's camera and leaves its image: "
-            f"choose a smaller scale (--scale, or a smaller --object-size)."
+            f"scaled by {scale:.3g}, the path spans {span:.0f} of the {camera.width} pixels of the arm's camera and "
+            f"leaves its image: choose a smaller scale, as --scale {_SMALLER * fits * scale:.2g}, or a smaller "
+            "--object-size."
         )
