@@ -241,6 +241,11 @@ WRONG = {  # words, beginning of the sentence
     "evaluate": "the following arguments are required: --demonstrations.",
     "evaluate --demonstrations . --cost nowhere": "--cost: there is no file 'nowhere'.",
     "evaluate --demonstrations . --cost empty.json": "--cost: empty.json is not a learned cost: it has no 'effort'.",
+    "evaluate --demonstrations . --cost list.json": "--cost: list.json is not a learned cost: "
+    "it must be an object, got [].",
+    "evaluate --demonstrations . --cost visual.json": "--cost: visual.json is not a learned cost: it is one over "
+    "detected keypoints, with which to plan, or export, by `kpirl learn-video FILM --detector CARD --dynamics CARD --cost "
+    "visual.json [--export]`.",
     "evaluate --demonstrations . --cost bytes": "--cost: bytes is not a learned cost: "
     "it is not text in UTF-8: invalid start byte at byte 2.",
     "solve --config bytes": "--config: bytes is not a YAML file: it is not text in UTF-8: invalid",
@@ -291,6 +296,8 @@ def test_wrong_input_is_one_sentence(words, own, monkeypatch, capsys):
     monkeypatch.chdir(own.parent)
     (own.parent / "empty").mkdir()
     (own.parent / "empty.json").write_text("{}")
+    (own.parent / "list.json").write_text("[]")
+    (own.parent / "visual.json").write_text('{"kind": "kpirl_ocp.visual_cost"}')
     (own.parent / "unfinished.py").write_text("f(\n")
     (own.parent / "bytes").write_bytes(b"{}\xff" + bytes(5000))
     assert refusal(words.split(), capsys).startswith(WRONG[words])

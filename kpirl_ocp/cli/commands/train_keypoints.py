@@ -164,7 +164,7 @@ def train(args: Namespace) -> None:
     try:
         detector = detector.calibrated(others or clips)
     except TrainingError as error:
-        wrong = [str(error).rstrip(".")]
+        wrong = [str(error).removesuffix(".")]
 
     card = {"training": {"preset": args.preset, "seed": args.seed, "clips": len(clips), "videos": len(others)}}
     finish(args, asdict(settings), detector, card, trained.curves, tests=tests, wrong=wrong, clips=[*clips, *others])

@@ -128,13 +128,11 @@ class LearnedCost:
             FileError: the file is missing or is no learned cost; the message names it.
         """
         try:
-            content = read_json(path)
-            if not isinstance(content, dict):
-                raise FileError(f"{path} is not a learned cost: it must hold an object.")
+            content = an_object("it", read_json(path))
             if content.get("kind") == VISUAL:
-                raise FileError(
-                    f"{path} is a cost over detected keypoints: plan with it, and export it, by\n"
-                    f"    kpirl learn-video FILM --detector CARD --dynamics CARD --cost {path} [--export]"
+                raise ValueError(
+                    "it is one over detected keypoints, with which to plan, or export, by "
+                    f"`kpirl learn-video FILM --detector CARD --dynamics CARD --cost {path} [--export]`."
                 )
             effort = numbers("effort", content["effort"])
             cost = KeypointCost(
@@ -158,7 +156,7 @@ class LearnedCost:
         except KeyError as error:
             raise FileError(f"{path} is not a learned cost: it has no {error}.") from error
         except ValueError as error:
-            raise FileError(f"{path} is not a learned cost: {str(error).rstrip('.')}.") from error
+            raise FileError(f"{path} is not a learned cost: {str(error).removesuffix('.')}.") from error
 
 
 def _numbers(name: str, values: Any) -> Array:

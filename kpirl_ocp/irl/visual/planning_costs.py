@@ -126,7 +126,7 @@ def read_planning_cost(path: Path, dynamics: NetworkDynamics) -> PlanningCost:
     except KeyError as error:
         raise FileError(f"{path} is not a cost over detected keypoints: it has no {error}.") from error
     except ValueError as error:
-        raise FileError(f"{path} is not a cost over detected keypoints: {str(error).rstrip('.')}.") from error
+        raise FileError(f"{path} is not a cost over detected keypoints: {str(error).removesuffix('.')}.") from error
     if kind != VISUAL or cost.efforts.ndim != 1 or cost.weights.shape != (len(cost.efforts), 2 * sizes[0]):
         raise FileError(f"{path} is not a cost over detected keypoints.")
     if sizes != (dynamics.n_z // 2, dynamics.n_joints):
