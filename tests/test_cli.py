@@ -244,8 +244,8 @@ WRONG = {  # words, beginning of the sentence
     "evaluate --demonstrations . --cost list.json": "--cost: list.json is not a learned cost: "
     "it must be an object, got [].",
     "evaluate --demonstrations . --cost visual.json": "--cost: visual.json is not a learned cost: it is one over "
-    "detected keypoints, with which to plan, or export, by `kpirl learn-video FILM --detector CARD --dynamics CARD --cost "
-    "visual.json [--export]`.",
+    "detected keypoints, with which to plan, or export, by `kpirl learn-video FILM --detector CARD --dynamics CARD "
+    "--cost visual.json [--export]`.",
     "evaluate --demonstrations . --cost bytes": "--cost: bytes is not a learned cost: "
     "it is not text in UTF-8: invalid start byte at byte 2.",
     "solve --config bytes": "--config: bytes is not a YAML file: it is not text in UTF-8: invalid",
