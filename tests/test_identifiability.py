@@ -99,13 +99,15 @@ def steps_from_rest(move=lambda u: u, step_size=0.1):
     return problem, GradientDescent(steps=30, step_size=step_size)
 
 
+@pytest.mark.parametrize("converged", [False, True], ids=["steps", "converged"])
 @pytest.mark.parametrize(("move", "certified"), [(ca.sin, True), (ca.fabs, False)], ids=["smooth", "kinked"])
-def test_the_certificate_of_a_derivative_of_gradient_steps_does_not_depend_on_the_observations(move, certified):
+def test_the_certificate_of_a_plans_derivative_does_not_depend_on_the_observations(move, certified, converged):
     """The loss hides a kink of the plan where it vanishes: (|c psi| - 0)^2 is smooth."""
     problem, solver = steps_from_rest(move)
+    method = Implicit(policy="flag") if converged else Unrolled(solver, policy="flag")
     for observed in (0.0, 1.0):
         seen = Demonstration([0.0], [], [[0.0], [observed]])
-        assert plan_jacobian(problem, seen, [0.0], Unrolled(solver, policy="flag")).certified == certified
+        assert plan_jacobian(problem, seen, [0.0], method).certified == certified
 
 
 def test_gradient_steps_that_diverge_have_no_derivative_and_say_so():

@@ -58,6 +58,13 @@ class Implicit:
                 "policy='smooth' needs barrier > 0 and a solver for the smoothed problem: Riccati() or Ipopt()."
             )
 
+    @property
+    def inner(self) -> Solver:
+        """The solver, under the policy "smooth" that of the smoothed problem."""
+        if self.policy == "smooth" and isinstance(self.solver, BarrierSolver):
+            return self.solver.with_barrier(self.barrier)
+        return self.solver
+
     def __call__(
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None
     ) -> HypergradientResult:
@@ -83,11 +90,8 @@ class Implicit:
     def _evaluate(
         self, problem: OCP, psi: ArrayLike, demonstration: Demonstration, guess: Guess
     ) -> HypergradientResult:
-        solver: Solver = self.solver
-        if self.policy == "smooth" and isinstance(solver, BarrierSolver):
-            solver = solver.with_barrier(self.barrier)
         numbers = demonstration.s0, psi, demonstration.context
-        solution, derivatives = solve_and_linearise(solver, problem, *numbers, guess)
+        solution, derivatives = solve_and_linearise(self.inner, problem, *numbers, guess)
         return differentiate(problem, demonstration, solution, self.loss, derivatives)
 
 

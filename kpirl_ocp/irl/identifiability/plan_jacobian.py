@@ -16,13 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
-from kpirl_ocp.irl.hypergradients.implicit import Implicit
+from kpirl_ocp.irl.hypergradients.certificate import Hypergradient, enforce
+from kpirl_ocp.irl.hypergradients.implicit import Implicit, differentiate
+from kpirl_ocp.irl.hypergradients.loss import squared_distance
 from kpirl_ocp.irl.hypergradients.unrolled import Unrolled, gradient_alone
 from kpirl_ocp.ocp.problem.layout import split
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.solver import solve_and_linearise
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
-from kpirl_ocp.types import Array, Demonstration, Trajectory
+from kpirl_ocp.types import Array, Demonstration, Solution, Trajectory
 
 CONVERGED = Implicit()  # how the plan depends on psi, unless said otherwise
 
@@ -61,34 +63,50 @@ def plan_jacobian(problem: OCP, demonstration: Demonstration, psi: ArrayLike, me
 
 
 def _converged(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method: Implicit) -> PlanJacobian:
-    certificate = method(problem, demonstration, psi).certificate
-    solution = certificate.solution
+    numbers = demonstration.s0, psi, demonstration.context
+    solution, derivatives = solve_and_linearise(method.inner, problem, *numbers)
+    combined = _Planned(problem, demonstration, solution).combined()
+    result = enforce(method.policy, differentiate(problem, combined, solution, derivatives=derivatives))
     function, fixed = ImplicitFunction.at(problem, solution), (np.zeros(problem.n_states), np.zeros(problem.n_context))
     pushed = [function.push(ByParameters(direction, *fixed))[0].x for direction in np.eye(problem.n_parameters)]
     changes = [split(x, problem.horizon, problem.n_states, problem.n_actions)[0] for x in pushed]
     slopes = observation_jacobians(problem, solution.states)  # (T, n_z, n_s)
     columns = [np.einsum("tzs,ts->tz", slopes, change[1:]).ravel() for change in changes]
     jacobian = np.reshape(columns, (problem.n_parameters, -1)).T
-    return PlanJacobian(solution.trajectory, observed(problem, solution.states), jacobian, certificate.certified)
+    return PlanJacobian(solution.trajectory, observed(problem, solution.states), jacobian, result.certificate.certified)
 
 
 def _unrolled(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method: Unrolled) -> PlanJacobian:
     plan = method.solver.solve(problem, demonstration.s0, psi, demonstration.context)
-    planned = problem.observe(plan.states.T).full().T  # (T+1, n_z)
-    finite = planned if np.isfinite(planned).all() else np.zeros(planned.shape)  # the certificate says which
-    unrolled, shape = Unrolled(method.solver, policy=method.policy, checkpoint=method.checkpoint), planned[1:].shape
-
-    def beside(direction: Array) -> Demonstration:
-        """Of which the loss has the gradient (dz/dpsi)^T direction (T n_z,)."""
-        shift = np.vstack([np.zeros(shape[1]), direction.reshape(shape)])
-        return replace(demonstration, observations=finite - 0.5 * shift, actions=None, frames=None)
-
-    # A kink of any row is one of a random combination of all; a loss that vanishes at the plan would hide it.
-    combined = beside(np.random.default_rng(0).normal(size=shape))
-    certificate = unrolled(problem, combined, psi).certificate
-    rows = [gradient_alone(unrolled, problem, beside(row), psi) for row in np.eye(finite[1:].size)]
+    planned, unrolled = _Planned(problem, demonstration, plan), replace(method, loss=squared_distance)
+    certificate = unrolled(problem, planned.combined(), psi).certificate
+    rows = [
+        gradient_alone(unrolled, problem, planned.beside(row), psi) for row in np.eye(planned.observations[1:].size)
+    ]
     jacobian = np.reshape(rows, (-1, problem.n_parameters))
-    return PlanJacobian(plan.trajectory, planned[1:].ravel(), jacobian, certificate.certified)
+    return PlanJacobian(plan.trajectory, observed(problem, plan.states), jacobian, certificate.certified)
+
+
+class _Planned:
+    """Demonstrations beside a plan, so that losses have gradients that are parts of dz/dpsi.
+
+    observations: (T+1, n_z) of the plan; zeros if they are not finite, which the plan's certificate says.
+    """
+
+    def __init__(self, problem: OCP, demonstration: Demonstration, plan: Solution) -> None:
+        self._start = demonstration
+        planned = problem.observe(plan.states.T).full().T
+        self.observations = planned if np.isfinite(planned).all() else np.zeros(planned.shape)
+
+    def beside(self, direction: Array) -> Demonstration:
+        """Of which the loss has the gradient (dz/dpsi)^T direction (T n_z,)."""
+        observations = self.observations.copy()
+        observations[1:] -= 0.5 * direction.reshape(observations[1:].shape)
+        return Demonstration(self._start.s0, self._start.context, observations)
+
+    def combined(self) -> Demonstration:
+        """In a random direction: its loss has a kink wherever a row has one; one that vanishes might hide it."""
+        return self.beside(np.random.default_rng(0).normal(size=self.observations[1:].size))
 
 
 def observed(problem: OCP, states: Array) -> Array:
