@@ -65,7 +65,7 @@ def is_slope_of_the_steps(case: Case, gradient: np.ndarray, solver: GradientDesc
     """
     value = _loss_after(case, solver)
     centre, unit = value(case.psi), np.maximum(1e-3, np.abs(case.psi))
-    return any(_agree(value, centre, case.psi, h * unit, gradient) for h in (1e-4, 1e-5, 1e-6, 1e-7))
+    return any(_agree(value, centre, case.psi, h * unit, gradient) for h in (1e-4, 1e-5, 1e-6, 1e-7, 1e-8))
 
 
 def _plan(case: Case, solver: GradientDescent, psi: np.ndarray):
