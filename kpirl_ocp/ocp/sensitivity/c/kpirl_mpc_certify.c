@@ -14,6 +14,7 @@
 
 static const real EXACT = (real)1e-13; /* relative residual at which refinement stops */
 static const real NEARLY = (real)1e-11; /* and that is near enough to it */
+static const real HARDLY = (real)1e-6;  /* change that first derivatives tell from none */
 
 /* ---- gradients ----------------------------------------------------------------------------------------------------- */
 
@@ -59,27 +60,36 @@ static void negate(real *values, int count) {
 
 /* ---- evidence ------------------------------------------------------------------------------------------------------- */
 
-/* How the adjoint of a slope changes where a Newton step leads to. */
-static real find_change(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const real *slope,
-                        const kpirl_mpc_triple *adjoint) {
-  const int same = k->rows->quadratic && !(k->barrier > 0); /* is the system the same wherever the step leads? */
-  if (!k->reached) {
-    kpirl_mpc_kkt_reach(k, nearby);
-    if (!same) {
-      kpirl_mpc_kkt_evaluate(nearby, core);
-      kpirl_mpc_kkt_select_nearby(nearby, k->system.active);
-    }
+/* How the adjoint of a slope changes where a Newton step leads to, by second derivatives there. */
+static real find_change(const kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const real *slope) {
+  if (!nearby->evaluated) {
+    kpirl_mpc_kkt_evaluate(nearby, core);
+    kpirl_mpc_kkt_select_nearby(nearby, k->system.active);
   }
-  if (same) return 0;
-  kpirl_mpc_copy_triple(&k->system, adjoint, &nearby->adjoint);
+  kpirl_mpc_copy_triple(&k->system, &k->adjoint, &nearby->adjoint);
   return kpirl_mpc_kkt_change(k, nearby, slope, &nearby->adjoint);
 }
 
-/* Along x a quadratic program has none. */
-static real find_kink(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_weighted *function, const real *direction,
-                      const kpirl_mpc_triple *weights, const kpirl_mpc_by_parameters *by) {
-  const real along = k->rows->quadratic ? 0 : kpirl_mpc_kink_along(k, core, direction);
-  return kpirl_mpc_worse(along, kpirl_mpc_kink_in_parameters(k, core, function, weights, by));
+/* Both by first derivatives alone, which see small changes where there is no kink; returns whether these are. */
+static int find_both(const kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, kpirl_mpc_evidence *evidence) {
+  kpirl_mpc_triple residual;
+  kpirl_mpc_place_triple(&k->system, nearby->work, &residual);
+  evidence->kink = kpirl_mpc_kink_nearby(k, nearby, core, &k->adjoint, &residual);
+  if (!(evidence->kink <= KPIRL_MPC_NO_KINK)) return 0;
+  evidence->change = kpirl_mpc_system_first_change(&k->system, &residual, &k->adjoint);
+  return evidence->change <= HARDLY;
+}
+
+/* Change, and kink along x. A quadratic program, whose system is the same everywhere, has none. */
+static void look_around(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const real *slope, const real *direction,
+                        kpirl_mpc_evidence *evidence) {
+  const int smoothed = k->barrier > 0;
+  if (!k->reached) kpirl_mpc_kkt_reach(k, nearby);
+  evidence->change = evidence->kink = 0;
+  if (k->rows->quadratic && !smoothed) return;
+  if (!direction && !smoothed && find_both(k, nearby, core, evidence)) return;
+  evidence->change = find_change(k, nearby, core, slope);
+  evidence->kink = k->rows->quadratic ? 0 : kpirl_mpc_kink_along(k, core, direction ? direction : k->adjoint.x);
 }
 
 void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
@@ -97,12 +107,13 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
   evidence->margin = (real)NAN;
   finite = kpirl_mpc_all_finite(adjoint->x, n_w) && (!direction || kpirl_mpc_all_finite(direction, n_w));
   if (finite) {
-    evidence->change = find_change(k, nearby, core, slope, adjoint);
+    look_around(k, nearby, core, slope, direction, evidence);
     evidence->step = k->step;
     evidence->margin = k->margin;
   }
   kpirl_mpc_kkt_pull(k, function, adjoint, by);
-  if (finite) evidence->kink = find_kink(k, core, function, direction ? direction : adjoint->x, adjoint, by);
+  if (finite)
+    evidence->kink = kpirl_mpc_worse(evidence->kink, kpirl_mpc_kink_in_parameters(k, core, function, adjoint, by));
   negate(by->psi, k->dimensions.n_parameters);
   negate(by->s0, k->system.n_states);
   negate(by->context, k->dimensions.n_context);

@@ -87,10 +87,12 @@ real kpirl_mpc_weighted_beside(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, con
   moved(k->numbers.psi, moves, length, n_psi, psi);
   moved(k->numbers.s0, moves + n_psi, length, n_s, s0);
   moved(k->numbers.context, moves + n_psi + n_s, length, n_context, context);
+  kpirl_mpc_triple point = k->point;
+  point.x = x;
   memcpy(x, k->point.x, (size_t)n_w * sizeof(real));
   moved(k->point.x, moves + n_psi, length, n_s, x);
   for (i = 0; i < s->n_free; ++i) x[s->free[i]] = k->point.x[s->free[i]];
-  kpirl_mpc_conditions(k, core, &numbers, x, values);
+  kpirl_mpc_conditions(k, core, &numbers, &point, values);
   return kpirl_mpc_weighted_sum(s, weights, values, &ignored);
 }
 
@@ -99,7 +101,7 @@ static real weighted_here(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kp
   if (k->evaluated)
     kpirl_mpc_known_conditions(k, work);
   else
-    kpirl_mpc_conditions(k, core, &k->numbers, k->point.x, work);
+    kpirl_mpc_conditions(k, core, &k->numbers, &k->point, work);
   return kpirl_mpc_weighted_sum(&k->system, weights, work, sizes);
 }
 

@@ -9,7 +9,6 @@
 static const real DIFFERENCE = (real)1e-6; /* step of a difference quotient, relative: truncation 1e-12, rounding 1e-10 */
 static const real WIDE = (real)1e-4;       /* over which most problems look straight */
 static const real CLOSER = (real)0.1;      /* of two steps the shorter one; jumps do not shrink with it */
-static const real ENOUGH = (real)1e-3;     /* disagreement above which the shorter step is tried, too */
 static const real CURVED = (real)0.1;      /* share of the terms of a slope that may be curvature, ... */
 static const real BENT = (real)1e-3;       /* ... or of the terms that conditions are made of */
 static const real ROUNDING = (real)1e-14;  /* of these */
@@ -26,17 +25,17 @@ static real lagrangian_of(const kpirl_mpc_kkt *k, real objective, const real *de
   return objective + kpirl_mpc_dot(k->point.costates, defects, n_c) + kpirl_mpc_dot(k->point.forces + s->n_bounds, rows, m);
 }
 
-real kpirl_mpc_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const real *x,
-                       real *values) {
+real kpirl_mpc_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers,
+                          const kpirl_mpc_triple *point, real *values) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n_path = s->horizon * s->n_path + s->n_terminal;
   const int n = kpirl_mpc_n_conditions(s);
   kpirl_mpc_start at = {0};
   kpirl_mpc_view view;
   int i, failed;
-  at.x = x;
-  at.costates = k->point.costates;
-  at.path = k->point.forces + s->n_bounds;
+  at.x = point->x;
+  at.costates = point->costates;
+  at.path = point->forces + s->n_bounds;
   at.equality = at.path + n_path;
   failed = kpirl_mpc_core_evaluate_at(core, numbers, &at, KPIRL_MPC_FIRST);
   kpirl_mpc_core_view(core, &view);
@@ -118,29 +117,77 @@ static real value_jump(const kpirl_mpc_kkt *k, const real *L, const real *left, 
   return kpirl_mpc_over(kpirl_mpc_larger(off, 0), kpirl_mpc_worse(kpirl_mpc_worse(bend, kpirl_mpc_abs(slope)), FLOOR * terms));
 }
 
-static real kink(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, real lagrangian, const real *here, const real *units,
-                 const real *move, real *work) {
+/* ---- a search ---------------------------------------------------------------------------------------------------- */
+
+/* The conditions at a point and where a move of x and multipliers leads to from it, and back; the Lagrangian there; derivatives. */
+typedef struct search {
+  kpirl_mpc_triple move, moved;
+  real *left, *here, *right;
+  real *slope, *pushed; /* (n) times the move of x, and (n_w) times that of the multipliers */
+  real *units, *rows, lagrangian[3];
+} search;
+
+static int count_all(const kpirl_mpc_system *s) { return kpirl_mpc_system_n_triple(s) - s->n_states; }
+
+static void begin(const kpirl_mpc_kkt *k, search *at) {
+  const kpirl_mpc_system *s = &k->system;
+  const int n = kpirl_mpc_n_conditions(s);
+  at->left = kpirl_mpc_place_triple(s, kpirl_mpc_place_triple(s, k->work, &at->move), &at->moved);
+  at->here = at->left + n;
+  at->right = at->here + n;
+  at->slope = at->right + n;
+  at->units = at->slope + n;
+  at->pushed = at->units + n;
+  at->rows = at->pushed + kpirl_mpc_system_n_point(s);
+  find_units(k, at->units);
+}
+
+/* move = length times the first `count` numbers of a direction */
+static void set_move(const kpirl_mpc_system *s, real length, const real *direction, int count, search *at) {
+  memset(at->move.x, 0, (size_t)count_all(s) * sizeof(real));
+  kpirl_mpc_axpy(length, direction, count, at->move.x);
+}
+
+static void find_derivatives(const kpirl_mpc_system *s, search *at) {
+  const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, m = kpirl_mpc_system_n_rows(s);
+  kpirl_mpc_hessian_times(s, at->move.x, at->slope);
+  kpirl_mpc_defects_times(s, at->move.x, at->slope + n_w);
+  kpirl_mpc_rows_times(s, at->move.x, at->rows);
+  memcpy(at->slope + n_w + n_c, at->rows + s->n_bounds, (size_t)(m - s->n_bounds) * sizeof(real));
+  memcpy(at->rows, at->move.forces, (size_t)m * sizeof(real));
+  memset(at->rows, 0, (size_t)s->n_bounds * sizeof(real)); /* forces of bounds are not in the conditions */
+  memset(at->pushed, 0, (size_t)n_w * sizeof(real));
+  kpirl_mpc_costates_push(s, at->move.costates, at->pushed);
+  kpirl_mpc_rows_push(s, at->rows, at->pushed);
+}
+
+/* What the multipliers change by themselves is taken away. */
+static void find_sides(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *from, search *at) {
+  const kpirl_mpc_system *s = &k->system;
+  const int count = count_all(s), n_w = kpirl_mpc_system_n_point(s);
+  memcpy(at->moved.x, from->x, (size_t)count * sizeof(real));
+  kpirl_mpc_axpy(-1, at->move.x, count, at->moved.x);
+  at->lagrangian[0] = kpirl_mpc_conditions(k, core, &k->numbers, &at->moved, at->left);
+  kpirl_mpc_axpy(2, at->move.x, count, at->moved.x);
+  at->lagrangian[2] = kpirl_mpc_conditions(k, core, &k->numbers, &at->moved, at->right);
+  find_derivatives(s, at);
+  kpirl_mpc_axpy(1, at->pushed, n_w, at->left);
+  kpirl_mpc_axpy(-1, at->pushed, n_w, at->right);
+}
+
+static real kink(const kpirl_mpc_kkt *k, const search *at) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n = kpirl_mpc_n_conditions(s);
-  real *left = work, *right = left + n, *slope = right + n, *x = slope + n, *zeros = x, *values = x, own = 0, whole, worst, L[3];
+  const real *left = at->left, *here = at->here, *right = at->right, *slope = at->slope, *units = at->units, *move = at->move.x;
+  const real whole = largest_share(s, move);
+  real own = 0, worst;
   int i;
-  L[1] = lagrangian;
-  for (i = 0; i < n_w; ++i) x[i] = k->point.x[i] - move[i];
-  L[0] = kpirl_mpc_conditions(k, core, &k->numbers, x, left);
-  for (i = 0; i < n_w; ++i) x[i] = k->point.x[i] + move[i];
-  L[2] = kpirl_mpc_conditions(k, core, &k->numbers, x, right);
-  memset(zeros, 0, (size_t)n_c * sizeof(real));
-  kpirl_mpc_lagrangian_times(s, move, zeros, slope);
-  kpirl_mpc_defects_times(s, move, slope + n_w);
-  kpirl_mpc_rows_times(s, move, values);
-  memcpy(slope + n_w + n_c, values + s->n_bounds, (size_t)(n - n_w - n_c) * sizeof(real));
   for (i = 0; i < n_w; ++i) {
     const real share = FLOOR * k->curvature[i] * move[i] * s->sizes[i];
     own += share * share;
   }
-  whole = largest_share(s, move);
   worst = disagreement(left, here, right, slope, units, n_w, kpirl_mpc_root(own), 1);
-  worst = kpirl_mpc_worse(worst, value_jump(k, L, left, here, right, move));
+  worst = kpirl_mpc_worse(worst, value_jump(k, at->lagrangian, left, here, right, move));
   worst = kpirl_mpc_worse(worst, disagreement(left + n_w, here + n_w, right + n_w, slope + n_w, units + n_w, n_c, whole, 0));
   i = n_w + n_c;
   return kpirl_mpc_worse(worst, disagreement(left + i, here + i, right + i, slope + i, units + i, n - i, whole, 0));
@@ -153,29 +200,61 @@ static real over_length(real error) {
   return kpirl_mpc_larger(DIFFERENCE, wide);
 }
 
-/* By the conditions `here`, whose Lagrangian is given. */
-static real kink_from(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *direction, real lagrangian, const real *here,
-                      real *work) {
+/* By the conditions `here`, whose Lagrangian is known. */
+static real kink_from(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *direction, search *at) {
   const kpirl_mpc_system *s = &k->system;
-  const int n_w = kpirl_mpc_system_n_point(s);
   const real size = largest_share(s, direction);
-  real *units = work, *move = units + kpirl_mpc_n_conditions(s), error = (real)INFINITY, length = over_length(k->step);
-  int i, j;
-  find_units(k, units);
-  for (j = length > DIFFERENCE; j < 2 && !(error <= ENOUGH); ++j, length *= CLOSER) {
-    for (i = 0; i < n_w; ++i) move[i] = length / size * direction[i];
-    error = kpirl_mpc_smaller(error, kink(k, core, lagrangian, here, units, move, move + n_w));
+  real error = (real)INFINITY, length = over_length(k->step);
+  int j;
+  for (j = length > DIFFERENCE; j < 2 && !(error <= KPIRL_MPC_NO_KINK); ++j, length *= CLOSER) {
+    set_move(s, length / size, direction, kpirl_mpc_system_n_point(s), at);
+    find_sides(k, core, &k->point, at);
+    error = kpirl_mpc_smaller(error, kink(k, at));
   }
   return error;
 }
 
 /* First from the values that came with second derivatives; where these round in another way than the neighbours', from new ones. */
 real kpirl_mpc_kink_along(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *direction) {
-  real *here = k->work, *work = here + kpirl_mpc_n_conditions(&k->system), error;
+  search at;
+  real error;
   if (largest_share(&k->system, direction) == 0) return 0;
-  error = kink_from(k, core, direction, kpirl_mpc_known_conditions(k, here), here, work);
-  if (error <= ENOUGH) return error;
-  return kink_from(k, core, direction, kpirl_mpc_conditions(k, core, &k->numbers, k->point.x, here), here, work);
+  begin(k, &at);
+  at.lagrangian[1] = kpirl_mpc_known_conditions(k, at.here);
+  error = kink_from(k, core, direction, &at);
+  if (error <= KPIRL_MPC_NO_KINK) return error;
+  at.lagrangian[1] = kpirl_mpc_conditions(k, core, &k->numbers, &k->point, at.here);
+  return kink_from(k, core, direction, &at);
+}
+
+/* here = what the conditions are nearby, to first order; differences over a move that is longer do not feel the second one. */
+static void predict(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *nearby, search *at) {
+  const kpirl_mpc_system *s = &k->system;
+  const int n_w = kpirl_mpc_system_n_point(s);
+  set_move(s, 1, nearby->x, count_all(s), at);
+  kpirl_mpc_axpy(-1, k->point.x, count_all(s), at->move.x);
+  find_derivatives(s, at);
+  at->lagrangian[1] = kpirl_mpc_known_conditions(k, at->here) + kpirl_mpc_dot(k->gradient, at->move.x, n_w);
+  kpirl_mpc_axpy(1, at->slope, kpirl_mpc_n_conditions(s), at->here);
+  kpirl_mpc_axpy(1, at->pushed, n_w, at->here);
+}
+
+real kpirl_mpc_kink_nearby(const kpirl_mpc_kkt *k, const kpirl_mpc_kkt *nearby, kpirl_mpc_core *core,
+                           const kpirl_mpc_triple *adjoint, kpirl_mpc_triple *residual) {
+  const kpirl_mpc_system *s = &k->system;
+  const int n = kpirl_mpc_n_conditions(s), first = kpirl_mpc_system_n_point(s) + s->horizon * s->n_states;
+  const real length = over_length(k->step) / largest_share(s, adjoint->x);
+  search at;
+  int i;
+  if (!isfinite(length)) return (real)INFINITY;
+  begin(k, &at);
+  predict(k, &nearby->point, &at);
+  set_move(s, length, adjoint->x, count_all(s), &at);
+  find_sides(k, core, &nearby->point, &at);
+  memset(residual->x, 0, (size_t)count_all(s) * sizeof(real));
+  for (i = 0; i < n; ++i) /* those of bounds do not change */
+    residual->x[i < first ? i : i + s->n_bounds] = (at.slope[i] - (at.right[i] - at.left[i]) / 2) / length;
+  return kink(k, &at);
 }
 
 /* ---- along the predicted plan ------------------------------------------------------------------------------------ */
@@ -240,7 +319,7 @@ real kpirl_mpc_kink_beside(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const k
     const real far = slope_left(k, core, weights, moves, &tangent, here, steps[i], work);
     real whole = kpirl_mpc_worse(kpirl_mpc_worse(total, kpirl_mpc_abs(far)), ROUNDING * terms / DIFFERENCE);
     real off = kpirl_mpc_abs(far);
-    if (off > ENOUGH * whole && off <= CURVED * total + BENT * terms) {
+    if (off > KPIRL_MPC_NO_KINK * whole && off <= CURVED * total + BENT * terms) {
       const real near = slope_left(k, core, weights, moves, &tangent, here, CLOSER * steps[i], work);
       whole = kpirl_mpc_worse(whole, ROUNDING * terms / (CLOSER * DIFFERENCE));
       off = kpirl_mpc_abs(near - CLOSER * far) / (1 - CLOSER);

@@ -150,15 +150,21 @@ void kpirl_mpc_kkt_reach(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby);
 /* Relative change of the adjoint (r, 0, 0) -> point when the system becomes one nearby; point becomes the adjoint there. */
 real kpirl_mpc_kkt_change(const kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, const real *r, kpirl_mpc_triple *point);
 
-/* Gradient of the Lagrangian, defects, path constraints and equalities at x, with the forces of kkt->point; NaN where a function
- * failed; and the same at kkt->point, from what is known there. They return the Lagrangian. */
+/* Gradient of the Lagrangian, defects, path constraints and equalities at a point; NaN where a function failed; and the same at
+ * kkt->point, from what is known there. They return the Lagrangian with the forces of kkt->point. */
 int kpirl_mpc_n_conditions(const kpirl_mpc_system *system);
-real kpirl_mpc_conditions(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const real *x,
-                          real *values);
+real kpirl_mpc_conditions(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers,
+                          const kpirl_mpc_triple *point, real *values);
 real kpirl_mpc_known_conditions(const kpirl_mpc_kkt *kkt, real *values);
 
 /* Relative disagreement of the conditions, differenced to either side along x (n_w), with their derivatives. */
 real kpirl_mpc_kink_along(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const real *direction);
+static const real KPIRL_MPC_NO_KINK = (real)1e-3; /* disagreement above which a shorter move is tried, too */
+
+/* The same along an adjoint, its multipliers included, at the point nearby, and by differences the residual that the adjoint has in
+ * the system there. Without a barrier. */
+real kpirl_mpc_kink_nearby(const kpirl_mpc_kkt *kkt, const kpirl_mpc_kkt *nearby, kpirl_mpc_core *core,
+                           const kpirl_mpc_triple *adjoint, kpirl_mpc_triple *residual);
 
 /* The same along psi, s_0 (where `by_start` is given) and the context, and the relative jump of derivatives by them, for
  * conditions that are weighted. by: the derivatives of the weighted conditions. */

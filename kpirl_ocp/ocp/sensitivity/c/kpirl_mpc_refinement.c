@@ -181,3 +181,11 @@ real kpirl_mpc_system_change(const kpirl_mpc_system *s, const kpirl_mpc_system *
   }
   return (real)INFINITY;
 }
+
+real kpirl_mpc_system_first_change(const kpirl_mpc_system *s, kpirl_mpc_triple *residual, const kpirl_mpc_triple *point) {
+  kpirl_mpc_triple change;
+  real *work = kpirl_mpc_place_triple(s, s->scratch + kpirl_mpc_system_inner_scratch(s), &change);
+  memset(change.x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
+  only_equations(s, change.start, change.x, residual);
+  return correct(s, residual, &change, work) / kpirl_mpc_decision_norm(s, point->x);
+}

@@ -224,6 +224,7 @@ void kpirl_mpc_kkt_reach(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby) {
   for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) nearby->point.x[i] += KNOWN * size * k->softest[i];
   nearby->numbers = k->numbers;
   nearby->barrier = k->barrier;
+  nearby->evaluated = 0;
   k->reached = 1;
 }
 

@@ -68,16 +68,23 @@ void kpirl_mpc_rows_push(const kpirl_mpc_system *s, const real *forces, real *pu
   block_push(s, s->E, s->n_equality, s->n_terminal_equality, forces + s->n_bounds + n_path(s), pushed);
 }
 
-void kpirl_mpc_lagrangian_times(const kpirl_mpc_system *s, const real *x, const real *costates, real *product) {
+void kpirl_mpc_hessian_times(const kpirl_mpc_system *s, const real *x, real *product) {
   const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
-  int t, i;
+  int t;
   memset(product, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
-  for (t = 0; t < T; ++t) {
-    kpirl_mpc_times_vector(s->H + (size_t)t * n_x * n_x, n_x, n_x, x + t * n_x, product + t * n_x);
-    kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, costates + t * n_s, product + t * n_x);
-    for (i = 0; i < n_s; ++i) product[(t + 1) * n_x + i] -= costates[t * n_s + i];
+  for (t = 0; t <= T; ++t) {
+    const int n = t < T ? n_x : n_s;
+    kpirl_mpc_times_vector(s->H + (size_t)t * n_x * n_x, n, n, x + t * n_x, product + t * n_x);
   }
-  kpirl_mpc_times_vector(s->H + (size_t)T * n_x * n_x, n_s, n_s, x + T * n_x, product + T * n_x);
+}
+
+void kpirl_mpc_costates_push(const kpirl_mpc_system *s, const real *costates, real *pushed) {
+  const int n_s = s->n_states, n_x = n_s + s->n_actions;
+  int t, i;
+  for (t = 0; t < s->horizon; ++t) {
+    kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, costates + t * n_s, pushed + t * n_x);
+    for (i = 0; i < n_s; ++i) pushed[(t + 1) * n_x + i] -= costates[t * n_s + i];
+  }
 }
 
 void kpirl_mpc_defects_times(const kpirl_mpc_system *s, const real *x, real *defects) {
@@ -90,12 +97,12 @@ void kpirl_mpc_defects_times(const kpirl_mpc_system *s, const real *x, real *def
   }
 }
 
-/* The same with the rows, whose values C x come out, too. */
 void kpirl_mpc_balance_and_rows(const kpirl_mpc_system *s, const kpirl_mpc_triple *at, real *balance, real *values) {
   const int m = kpirl_mpc_system_n_rows(s);
   real *forces = s->scratch;
   int i;
-  kpirl_mpc_lagrangian_times(s, at->x, at->costates, balance);
+  kpirl_mpc_hessian_times(s, at->x, balance);
+  kpirl_mpc_costates_push(s, at->costates, balance);
   kpirl_mpc_rows_times(s, at->x, values);
   for (i = 0; i < m; ++i) forces[i] = at->forces[i] + s->sigma[i] * values[i];
   kpirl_mpc_rows_push(s, forces, balance);

@@ -63,8 +63,9 @@ real *kpirl_mpc_place_triple(const kpirl_mpc_system *system, real *memory, kpirl
 void kpirl_mpc_rows_times(const kpirl_mpc_system *system, const real *x, real *values);
 void kpirl_mpc_rows_push(const kpirl_mpc_system *system, const real *forces, real *pushed);
 
-/* product (n_w) = H x + A' lambda; and F_t x_t - s_{t+1} (T n_s) */
-void kpirl_mpc_lagrangian_times(const kpirl_mpc_system *system, const real *x, const real *costates, real *product);
+/* product (n_w) = H x; pushed (n_w) += A' lambda; and F_t x_t - s_{t+1} (T n_s) */
+void kpirl_mpc_hessian_times(const kpirl_mpc_system *system, const real *x, real *product);
+void kpirl_mpc_costates_push(const kpirl_mpc_system *system, const real *costates, real *pushed);
 void kpirl_mpc_defects_times(const kpirl_mpc_system *system, const real *x, real *defects);
 
 /* balance (n_w) = (H + C' sigma C) x + A' lambda + C' mu, all entries of s_0 included. */
@@ -91,6 +92,9 @@ real kpirl_mpc_system_solve(const kpirl_mpc_system *system, const kpirl_mpc_trip
  * find it. point holds the solution here, and becomes the one nearby. */
 real kpirl_mpc_system_change(const kpirl_mpc_system *system, const kpirl_mpc_system *nearby, const kpirl_mpc_triple *right,
                              kpirl_mpc_triple *point);
+
+/* Its first share, to first order, from the residual that point has in the system nearby; residual is overwritten. */
+real kpirl_mpc_system_first_change(const kpirl_mpc_system *system, kpirl_mpc_triple *residual, const kpirl_mpc_triple *point);
 
 /* The highest (lowest if `negative`) eigenvalue of the inverse of the reduced Hessian, in the decisions by their roots, with its
  * vector of length one as x (n_w). */
