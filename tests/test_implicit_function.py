@@ -1,5 +1,6 @@
 """Derivatives of solutions by psi, s_0 and the context: against one dense KKT matrix, and against each other."""
 
+import ctypes
 from dataclasses import replace
 from functools import lru_cache
 
@@ -10,10 +11,12 @@ from dense_kkt import derivative, unknowns
 from problems import TABLE, network, swing_up
 
 from kpirl_ocp import OCP, Ipopt, Riccati
+from kpirl_ocp.ocp.interior_point import library as c
+from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
-from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, linearise
+from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, Triple, linearise
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 
 CASES = TABLE | {
@@ -173,6 +176,34 @@ def test_change_of_the_adjoint_nearby_is_that_between_two_linearisations(name, b
     decisions = system.instance.rows.decisions
     one, other = (system.roots * part.x[decisions] for part in (moved, adjoint))
     np.testing.assert_allclose(found, np.linalg.norm(one - other) / np.linalg.norm(other), rtol=1e-2, atol=1e-8)
+
+
+def in_one_piece(point):
+    """A point whose arrays are one after the other in memory."""
+    parts = point.x, point.costates, point.forces
+    return PrimalDual(*np.split(np.concatenate(parts), np.cumsum([len(part) for part in parts])[:-1]))
+
+
+@pytest.mark.parametrize("name", ["swing-up, 45 steps", "iiwa at a limit", "tanh network"])
+def test_differences_of_first_derivatives_show_the_residual_of_the_adjoint_nearby(name):
+    _, _, function, _ = solved(name)
+    system, rng = function.system, np.random.default_rng(5)
+    slope, given_start = rng.normal(size=len(system.point.x)), len(system.instance.s0)
+    adjoint = in_one_piece(function.factors.adjoint(slope)[0])
+    move = 1e-7 * rng.normal(size=slope.shape) * (np.arange(len(slope)) >= given_start)
+    costates = system.point.costates * (1 + 1e-5 * rng.normal(size=system.point.costates.shape))
+    there = linearise(system.instance, replace(system.point, x=system.point.x + move, costates=costates), system.active)
+    given, found = Triple(adjoint), Triple(in_one_piece(adjoint))
+    library = c.library()
+    library.kpirl_mpc_kink_nearby.restype = ctypes.c_double
+    with borrow_core(system.instance.problem) as core:
+        addresses = [system.address, there.address, core.address, given.address, found.address]
+        kink = library.kpirl_mpc_kink_nearby(*map(ctypes.c_void_p, addresses))
+    expected = (slope - there.balance(adjoint))[given_start:]
+    assert kink < 1e-3
+    assert np.abs(expected).max() > 1e-6
+    np.testing.assert_allclose(found.point.x[given_start:], expected, rtol=0, atol=3e-7)
+    np.testing.assert_allclose(found.point.costates, -there.defects_along(adjoint.x), rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", ["swing-up, 45 steps", "tanh network"])

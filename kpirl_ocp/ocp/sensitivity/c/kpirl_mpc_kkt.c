@@ -88,6 +88,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
   k->pushing = take(&from, m);
   k->curvature = take(&from, n_w);
   k->row_sizes = take(&from, m);
+  k->shares = take(&from, m);
   k->softest = take(&from, n_w);
   k->origin = take(&from, n_w);
   k->matrices = take(&from, n_matrices(s));
@@ -210,6 +211,7 @@ int kpirl_mpc_kkt_select(kpirl_mpc_kkt *k, const real *active) {
   kpirl_mpc_point_sizes(&k->dimensions, k->rows, k->point.x, s->sizes);
   kpirl_mpc_system_curvature(s, k->curvature);
   kpirl_mpc_row_sizes(s, k->row_sizes);
+  kpirl_mpc_force_shares(s, k->point.costates, k->curvature, k->shares);
   if (active)
     memmove(s->active, active, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
   else

@@ -124,6 +124,5 @@ real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *k, const real *slack, int i) 
 
 void kpirl_mpc_relative_forces(const kpirl_mpc_kkt *k, const real *forces, real *relative) {
   int i;
-  kpirl_mpc_force_shares(&k->system, k->point.costates, k->curvature, relative);
-  for (i = 0; i < kpirl_mpc_system_n_rows(&k->system); ++i) relative[i] = forces[i] == 0 ? 0 : forces[i] * relative[i];
+  for (i = 0; i < kpirl_mpc_system_n_rows(&k->system); ++i) relative[i] = forces[i] == 0 ? 0 : forces[i] * k->shares[i];
 }

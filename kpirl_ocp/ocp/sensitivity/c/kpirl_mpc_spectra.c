@@ -165,7 +165,7 @@ int kpirl_mpc_system_factor(kpirl_mpc_system *s, const real *start) {
   memcpy(vector, start, (size_t)n * sizeof(real));
   s->scale = 0;
   if (n > 0)
-    s->scale = kpirl_mpc_abs(kpirl_mpc_lanczos(reduced_hessian, s, n, 3, KPIRL_MPC_LARGEST, vector, vector + n, &error));
+    s->scale = kpirl_mpc_abs(kpirl_mpc_lanczos(reduced_hessian, s, n, 2, KPIRL_MPC_LARGEST, vector, vector + n, &error));
   for (i = 0; i < m; ++i) {
     s->stiffness[i] = s->active[i] * (s->scale > 0 ? s->scale : 1) / (DELTA * s->lengths[i] * s->lengths[i]);
     weights[i] = s->sigma[i] + s->stiffness[i];

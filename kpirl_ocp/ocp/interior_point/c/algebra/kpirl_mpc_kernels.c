@@ -196,14 +196,14 @@ void kpirl_mpc_symmetric_times_vector(const real *restrict a, int n, const real 
 
 void kpirl_mpc_transpose(const real *restrict a, int rows, int columns, real *restrict transposed) {
   int i, j;
-  for (j = 0; j < columns; ++j)
-    for (i = 0; i < rows; ++i) transposed[j + i * columns] = a[i + j * rows];
+  for (i = 0; i < rows; ++i)
+    for (j = 0; j < columns; ++j) transposed[j + i * columns] = a[i + j * rows];
 }
 
 void kpirl_mpc_mirror(real *a, int n) {
   int i, j;
-  for (j = 0; j < n; ++j)
-    for (i = j + 1; i < n; ++i) a[j + i * n] = a[i + j * n];
+  for (i = 1; i < n; ++i)
+    for (j = 0; j < i; ++j) a[j + i * n] = a[i + j * n];
 }
 
 void kpirl_mpc_add_rows(const real *columns, int n, int rows, const real *weights, real *M) {
