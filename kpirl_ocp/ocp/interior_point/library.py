@@ -165,7 +165,9 @@ KKT = _structure(
     move=Triple,
     barrier=REAL,
     objective=REAL,
-    **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "shares", "softest"), POINTER),
+    **dict.fromkeys(
+        ("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "shares", "softest"), POINTER
+    ),
     spare=Factors,
     **dict.fromkeys(("origin", "matrices", "work"), POINTER),
     **dict.fromkeys(("lowest", "qualification", "step", "margin", "distance"), REAL),
