@@ -165,11 +165,9 @@ KKT = _structure(
     move=Triple,
     barrier=REAL,
     objective=REAL,
-    **dict.fromkeys(
-        ("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "shares", "softest"), POINTER
-    ),
+    **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "softest"), POINTER),
     spare=Factors,
-    **dict.fromkeys(("origin", "matrices", "work"), POINTER),
+    **dict.fromkeys(("origin", "shares", "matrices", "work"), POINTER),
     **dict.fromkeys(("lowest", "qualification", "step", "margin", "distance"), REAL),
     **dict.fromkeys(("evaluated", "factored", "immovable", "conditioned", "stepped", "reached", "borrowed"), INT),
 )

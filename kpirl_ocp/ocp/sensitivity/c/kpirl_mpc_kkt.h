@@ -65,10 +65,10 @@ typedef struct kpirl_mpc_kkt {
   real *pushing;            /* (m) multipliers of active rows; tau / slack of smoothed ones; zero */
   real *curvature;          /* (n_w) kpirl_mpc_system_curvature */
   real *row_sizes;          /* (m) */
-  real *shares;             /* (m) kpirl_mpc_force_shares */
   real *softest;            /* (n_w) direction of the smallest eigenvalue of the reduced Hessian */
   kpirl_mpc_factors spare;    /* of another matrix */
   real *origin;               /* (n_w) x before it was polished */
+  real *shares;               /* (m) kpirl_mpc_force_shares */
   real *matrices, *work;
   real lowest, qualification; /* that eigenvalue; the smallest singular value of the active rows */
   real step, margin;          /* kpirl_mpc_kkt_step, kpirl_mpc_kkt_reach */
