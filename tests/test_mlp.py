@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.models.activations import ACTIVATIONS
+from kpirl_ocp.ocp.models.activations import ACTIVATIONS, SCALES
 from kpirl_ocp.ocp.models.keypoint_dynamics import LinearisedNetwork, NetworkDynamics
 from kpirl_ocp.ocp.models.mlp import (
     MLP,
@@ -155,15 +155,45 @@ def test_hand_arranged_derivatives_are_those_of_ad(activation, output_activation
 
 
 @every_activation
-def test_the_clearance_is_that_of_the_argument_nearest_to_a_kink_relative_to_the_largest(activation):
-    mlp, points = random_mlp(activation), np.random.default_rng(1).normal(size=(9, 3))
-    x = ca.MX.sym("x", 9, 3)
-    found = float(ca.Function("clearance", [x], [clearance(kinked(mlp.linearise(x)[1]))])(points))
-    bent = np.array(ACTIVATIONS[activation](ca.DM(mlp.weights[0] @ points + mlp.biases[0][:, None]))[0])
-    arguments = [mlp.weights[0] @ points + mlp.biases[0][:, None], mlp.weights[1] @ bent + mlp.biases[1][:, None]]
-    sizes = np.abs(np.vstack(arguments))
-    expected = sizes.min() / sizes.max() if activation in ("relu", "leaky_relu", "elu") else np.inf
-    np.testing.assert_allclose(found, expected, rtol=1e-11)
+def test_slopes_are_within_the_scales_of_an_activation(activation):
+    """The third derivative by CasADi, which takes slopes at kinks for zero."""
+    a = ca.SX.sym("a")
+    _, slopes = ACTIVATIONS[activation](a)
+    first, second = (a * 0 if part is None else part for part in (slopes.first, slopes.second))
+    first = first if slopes.first is not None else first + 1
+    points = np.linspace(-30, 30, 60001)[None]
+    jet = ca.Function("jet", [a], [first, second, ca.gradient(second, a)])(points)
+    found = [np.abs(np.array(part)).max() for part in jet]
+    size, scale = SCALES[activation]
+    bounds = size, size * scale, size * scale**2
+    assert all(value <= bound for value, bound in zip(found, bounds, strict=True))
+    tight = max(found[1] / size, np.sqrt(found[2] / size))
+    assert found[0] > 0.99 * size
+    assert scale == 0 or tight > 0.95 * scale
+
+
+@every_activation
+@pytest.mark.parametrize("steepness", [0.1, 1.0, 30.0])
+def test_inputs_that_move_within_the_clearance_cross_no_kink_and_leave_jacobians_as_they_are(activation, steepness):
+    mlp, rng = random_mlp(activation), np.random.default_rng(1)
+    mlp = MLP((steepness * mlp.weights[0], *mlp.weights[1:]), mlp.biases, mlp.activations)
+    x, sizes = rng.normal(size=9), rng.uniform(0.01, 2.0, 9)
+    at = ca.MX.sym("x", 9)
+    _, slopes = mlp.linearise(at)
+    inner = ca.vertcat(ca.MX(0, 1), *kinked(slopes))
+    evaluate = ca.Function("at", [at], [jacobian(mlp, slopes), inner])
+    here, arguments = (part.full() for part in evaluate(x))
+    allowed = float(ca.evalf(clearance(mlp, ca.MX(ca.DM(sizes)), ca.MX(ca.DM(np.abs(arguments))))))
+    bound = np.eye(9)
+    for weight, name in zip(mlp.weights, mlp.activations, strict=True):
+        bound = SCALES[name][0] * np.abs(weight) @ bound
+    moves = [*rng.uniform(-1, 1, (200, 9)), *rng.choice([-1.0, 1.0], (200, 9))]
+    beside = [[part.full() for part in evaluate(x + 0.999 * min(allowed, 1.0) * move * sizes)] for move in moves]
+    assert all((np.sign(there) == np.sign(arguments)).all() for _, there in beside)
+    change = max(np.abs((there - here) / bound).max() for there, _ in beside)
+    assert change <= 1e-3
+    assert np.isfinite(allowed)
+    assert allowed > 0
 
 
 @every_activation

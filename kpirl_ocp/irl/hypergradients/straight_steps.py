@@ -11,7 +11,7 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 
 
 def has_straight_steps(problem: OCP, loss: Loss, clear: bool) -> bool:
-    """Are costs and loss quadratic, and the dynamics affine, or a network that stays clear of its kinks?"""
+    """Are costs and loss quadratic, and the dynamics affine, or a network of which this is clear?"""
     return _quadratic(problem, loss) and (_affine(problem) or (clear and not depends_on_psi(problem.transition)))
 
 

@@ -45,8 +45,8 @@ from kpirl_ocp.types import Array, Demonstration, Solution
 _KINK = 1e-12
 # Share of the adjoint that truncation may leave out before the gradient counts as approximate.
 _REMAINDER = 1e-9
-# Clearance from kinks of the dynamics beyond which slopes to both sides of psi, taken over as much of psi, show none;
-# times what the steps enlarge differences by.
+# Share of psi by which steps beside it move it: where the dynamics have the same derivatives within that, times what
+# the steps enlarge differences by, slopes to both sides are not compared.
 _CLEAR = 1e-6
 # Growth of the adjoint back over the steps up to which quadratic costs make a loss that is smooth around psi: within
 # 1e-6 of it, slopes change by some 1e-6 times the growth. Steps that enlarge differences more may be chaotic: exact
@@ -73,8 +73,9 @@ class UnrolledCertificate(Certificate):
         direction of psi, from steps taken again at psi beside; what curvature explains is left out. It also measures
         what truncation left out. Zero, and not measured, where the steps enlarge differences (`remainder`) at most
         100 times, costs and loss are quadratic, and the dynamics affine, with coefficients that hardly change beside
-        psi, or a network with ReLU whose arguments stay clear of kinks at all iterates. That other functions have no
-        kink is not enough: a sigmoid may be as steep as a step.
+        psi, or a network whose weights bound the change of its Jacobian, at all iterates, to a thousandth of its terms
+        for moves as large as measured at the last one (`allowed_move`). That other functions have no kink is not
+        enough: a sigmoid may be as steep as a step.
     """
 
     steps: int
@@ -216,7 +217,7 @@ def _outputs(descents: Descents, last: int, checkpoint: bool) -> Array:
 class _Sweep(NamedTuple):
     """One sweep back, before the slopes to both sides are known.
 
-    clear: are the dynamics a network whose activations are straight around all iterates?
+    clear: are the dynamics a network whose derivatives hardly change around all iterates?
     """
 
     loss: float
@@ -265,7 +266,7 @@ def _sweep(problem: OCP, solver: GradientDescent, last: int, psi: Array, context
         kink_distance=kink,
         kink=0.0,  # until it is measured
     )
-    return _Sweep(value, gradient, certificate, clearance > _CLEAR * max(1.0, remainder))
+    return _Sweep(value, gradient, certificate, _CLEAR * max(1.0, remainder) < clearance < np.inf)
 
 
 def _failures(

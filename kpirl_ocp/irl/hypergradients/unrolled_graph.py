@@ -16,8 +16,17 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from kpirl_ocp.irl.hypergradients.allowed_move import allowed_move
 from kpirl_ocp.irl.hypergradients.loss import Loss
-from kpirl_ocp.ocp.problem.columns import by_trajectory, regroup, repeat, reverse, sum_blocks, symbols_like
+from kpirl_ocp.ocp.problem.columns import (
+    by_trajectory,
+    regroup,
+    repeat,
+    reverse,
+    smallest_by_row,
+    sum_blocks,
+    symbols_like,
+)
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost, reduced_symbols
 from kpirl_ocp.ocp.problem.scope import constant_bounds
@@ -25,7 +34,7 @@ from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
 from kpirl_ocp.ocp.problem.trajectory_passes import Rollout
 from kpirl_ocp.ocp.solvers.gradient_descent import (
     GradientDescent,
-    clearance,
+    extremes,
     gradient_step,
     projection_slope,
     terminal_point,
@@ -41,7 +50,7 @@ def unrolled_function(
 
     One column holds them all.
     For B demonstrations everything has B columns, but U_0 (n_u, B T) and Z (n_z, B (T+1)), demonstration by
-    demonstration. The clearance from kinks of the dynamics is the least along all iterates of all demonstrations.
+    demonstration. Clearance: `allowed_move`, over all demonstrations.
     """
     reduced, (u, s0, psi, context) = ReducedCost(problem, columns), reduced_symbols(problem, columns)
     observed = ca.MX.sym("Z", loss(problem).size1_in(2), columns * (problem.horizon + 1))
@@ -51,14 +60,14 @@ def unrolled_function(
 
     skipped, taken = _segments(solver.steps - last), _segments(last)
     wide = {length: repeat(constants, length) for length in {*skipped, *taken}}
-    steps = {length: step.mapaccum(length) if length > 1 else step for length in wide}
+    steps = {length: _segment(step, length) if length > 1 else step for length in wide}
     sweeps = {length: _segment_back(back, length) if length > 1 else back for length in set(taken)}
 
     iterate, walk = regroup(u, problem.horizon), []
     for length in skipped + taken:
         start = iterate
-        iterate, values, clearances, record = _take(steps[length], start, wide[length])
-        walk.append((length, start, values, clearances, record))
+        iterate, values, found, record = _take(steps[length], start, wide[length])
+        walk.append((length, start, values, found, record))
     kinks = [_kink_distance(problem, solver, record[1], columns) for *_, record in walk]
 
     at = reduced.linearise(s0, iterate, psi, theta)
@@ -77,7 +86,8 @@ def unrolled_function(
     kink = kinks[0]
     for other in kinks[1:]:
         kink = ca.fmin(kink, other)
-    clear = ca.mmin(ca.horzcat(clearance(at), *(clearances for _, _, _, clearances, _ in walk)))
+    least = smallest_by_row(ca.horzcat(extremes(at), *(found for _, _, _, found, _ in walk)))
+    clear = allowed_move(reduced, solver, at, psi, theta, least)
     initial = walk[0][2][:, :columns]
     point = terminal_point(at, columns)
     output = ca.vertcat(value, remainder, kink, ca.repmat(clear, 1, columns), initial, gradient, point)
@@ -90,15 +100,22 @@ def _segments(steps: int) -> list[int]:
     return [length] * (steps // length) + ([steps % length] if steps % length else [])
 
 
+def _segment(step: ca.Function, length: int) -> ca.Function:
+    """Steps side by side, with one column of extremes for all: a function of its own, so that theirs are not kept."""
+    u, *wide = symbols_like("x", (step.mx_in(0), *repeat(step.mx_in()[1:], length)))
+    iterates, values, found, *record = step.mapaccum(length).call([u, *wide])
+    return ca.Function("segment", [u, *wide], [iterates, values, smallest_by_row(found), *record])
+
+
 def _take(steps: ca.Function, u: ca.MX, constants: Sequence[ca.MX]) -> tuple[ca.MX, ca.MX, ca.MX, list[ca.MX]]:
-    """U after a segment, the costs and clearances on the way, and for every step the record that the way back needs.
+    """U after a segment, the costs and extremes on the way, and for every step the record that the way back needs.
 
     constants: s0, psi and theta, side by side for every step.
     """
-    iterates, values, clearances, *record = steps.call([u, *constants])
+    iterates, values, found, *record = steps.call([u, *constants])
     width = u.size2()
     before = ca.horzcat(u, iterates[:, :-width]) if iterates.size2() > width else u
-    return iterates[:, -width:], values, clearances, [before, *record]
+    return iterates[:, -width:], values, found, [before, *record]
 
 
 def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns: int) -> ca.Function:

@@ -95,3 +95,15 @@ ACTIVATIONS: dict[str, Activation] = {
     "softplus": softplus,
     "tanh": tanh,
 }
+
+SCALES: dict[str, tuple[float, float]] = {
+    "elu": (1.0, 1.0),
+    "identity": (1.0, 0.0),
+    "leaky_relu": (1.0, 0.0),
+    "relu": (1.0, 0.0),
+    "sigmoid": (0.25, 0.71),
+    "silu": (1.1, 0.54),
+    "softplus": (1.0, 0.32),
+    "tanh": (1.0, 1.42),
+}
+"""(L, c): of the first three derivatives the largest absolute values are at most L, c L and c^2 L, kinks apart."""

@@ -31,7 +31,7 @@ from kpirl_ocp.ocp.models.mlp import (
     vjp,
     vjp_tangent,
 )
-from kpirl_ocp.ocp.problem.columns import scan
+from kpirl_ocp.ocp.problem.columns import largest_by_row, scan, smallest_by_row
 from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout
 from kpirl_ocp.types import Array
 
@@ -52,8 +52,13 @@ class NetworkPasses:
         z, *kept = scan(self._forward, z0, self._drive_inputs(theta, actions, constant), self.horizon)
         states = _stack(ca.horzcat(z0, z), theta, ca.repmat(velocity, 1, self.horizon + 1))
         remembered = len(self._slopes)
-        clear = None if self._curved else clearance(kept[remembered:])
-        return Rollout(states, actions, tuple(kept[:remembered]), clear)
+        nearest = [smallest_by_row(ca.fabs(arguments)) for arguments in kept[remembered:]]
+        least = [-largest_by_row(states), -largest_by_row(actions), *nearest]
+        return Rollout(states, actions, tuple(kept[:remembered]), ca.vertcat(*least))
+
+    def clearance(self, moves: ca.MX, nearest: ca.MX) -> ca.MX:
+        """That of the network, whose inputs are s and u."""
+        return clearance(self.dynamics.mlp, moves, nearest)
 
     def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
         """Changes of the states, of s_0 none."""

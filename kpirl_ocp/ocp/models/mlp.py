@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.models.activations import ACTIVATIONS, Slopes
+from kpirl_ocp.ocp.models.activations import ACTIVATIONS, SCALES, Slopes
 from kpirl_ocp.types import Array
 
 _TINY = np.finfo(float).tiny
+# Change of a Jacobian, relative to the terms that bound it, that counts as none: certificates flag no smaller one.
+_GENTLE = 1e-3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -185,12 +187,35 @@ def kinked(slopes: Sequence[Slopes]) -> list[ca.MX]:
     return [ca.vertcat(*arguments)] if arguments else []
 
 
-def clearance(arguments: Sequence[ca.MX]) -> ca.MX:
-    """The smallest of `kinked`, relative to the largest; infinite without any."""
-    if not arguments:
-        return ca.MX.inf()
-    sizes = ca.fabs(arguments[0])
-    return ca.mmin(sizes) / (ca.mmax(sizes) + _TINY)
+def clearance(mlp: MLP, moves: ca.MX, nearest: ca.MX) -> ca.MX:
+    """Share of moves (n_in,) of the inputs that is possible before the Jacobian changes by more than a thousandth.
+
+    A change dx of the input moves no argument by more than
+
+        |da_1| <= |W_1| |dx|,    |da_l| <= |W_l| L_{l-1} |da_{l-1}|,
+
+    which has to leave each on its side of a kink, and sum_l c_l max |da_l| <= 1e-3: by so much the Jacobian may change,
+    relative to the product of |W_l| and L_l that bounds it, and one layer's share of a second derivative by twice that.
+
+    Args:
+        mlp: with scales L and c of its activations, `SCALES`.
+        moves: absolute values.
+        nearest: (n,) the smallest absolute values that `kinked` takes.
+    """
+    kinked_moves, bend = [ca.MX(0, 1)], ca.MX(0.0)
+    for weight, name in zip(mlp.weights, mlp.activations, strict=True):
+        largest_slope, scale = SCALES[name]
+        moves = ca.DM(np.abs(weight)) @ moves
+        kinked_moves += [moves] if has_kink(name) else []
+        bend += scale * ca.mmax(moves)
+        moves = largest_slope * moves
+    bounds = ca.vertcat(_GENTLE / (bend + _TINY), nearest / (ca.vertcat(*kinked_moves) + _TINY))
+    return ca.mmin(bounds)
+
+
+def has_kink(name: str) -> bool:
+    """Does sigma' or sigma'' jump anywhere?"""
+    return ACTIVATIONS[name](ca.MX.sym("a"))[1].kink is not None
 
 
 def has_curvature(slopes: Sequence[Slopes]) -> bool:

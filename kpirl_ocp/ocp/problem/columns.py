@@ -88,6 +88,19 @@ def sum_blocks(array: ca.MX, width: int) -> ca.MX:
     return ca.reshape(ca.sum2(ca.reshape(array, rows * width, array.size2() // width)), rows, width)
 
 
+def smallest_by_row(array: ca.MX) -> ca.MX:
+    """(n, 1) the smallest number of every row (n, m), by halves; m is at least 1."""
+    while array.size2() > 1:
+        half = (array.size2() + 1) // 2
+        array = ca.fmin(array[:, :half], array[:, -half:])
+    return array
+
+
+def largest_by_row(array: ca.MX) -> ca.MX:
+    """(n, 1) the largest absolute value of every row (n, m)."""
+    return -smallest_by_row(-ca.fabs(array))
+
+
 def repeat(arrays: Iterable[ca.MX], count: int) -> list[ca.MX]:
     """Each array side by side, as inputs of `count` steps that are the same."""
     return [ca.repmat(array, 1, count) for array in arrays]

@@ -26,14 +26,14 @@ Memory = tuple[ca.MX, ...]
 class Rollout(NamedTuple):
     """States (n_s, (T+1) B), actions (n_u, T B), and the arrays that the other passes need beside them.
 
-    clearance: how near the B trajectories come to a kink of dynamics that are straight between kinks, relative to the
-        size of what vanishes there; infinite without kinks, None for other dynamics.
+    extremes: (n, 1) minus the largest absolute values of each state and action, then the smallest of each number at
+        whose zero the dynamics have a kink; None where `clearance` is not known.
     """
 
     states: ca.MX
     actions: ca.MX
     memory: Memory
-    clearance: ca.MX | None = None
+    extremes: ca.MX | None = None
 
 
 class Adjoint(NamedTuple):
@@ -67,6 +67,14 @@ class TrajectoryPasses(Protocol):
         """The change of `adjoint` along (dS, dU), when its q changes by Q; `memory` is that of `adjoint`."""
         ...
 
+    def clearance(self, moves: ca.MX, nearest: ca.MX) -> ca.MX:
+        """Share of moves (n_s + n_u,) of states and actions that is possible until derivatives change.
+
+        Jacobians do by more than a thousandth of their terms, or at a kink; 0 where that is not known. `nearest` is
+        how near to zero the numbers come at whose zeros the dynamics have kinks.
+        """
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class StagePasses:
@@ -94,6 +102,10 @@ class StagePasses:
         """Changes of the costates along (dS, dU)."""
         direction = dS[:, : dU.size2()], dU
         return self._backwards(self._adjoint_tangent, Q, *_stages(at), psi, *memory, *direction)
+
+    def clearance(self, moves: ca.MX, nearest: ca.MX) -> ca.MX:
+        """Not known."""
+        return ca.MX(0.0)
 
     def _scan(self, stage: ca.Function, start: ca.MX, *inputs: ca.MX, backwards: bool = False) -> list[ca.MX]:
         return scan(stage.map(self.columns), start, inputs, self.horizon, backwards)

@@ -75,7 +75,7 @@ def check_constraints(problem: OCP, project: bool) -> None:
 
 
 def gradient_step(problem: OCP, solver: GradientDescent, columns: int = 1) -> ca.Function:
-    """(U (n_u, T B), s0, psi, theta) -> next U, J (1, B), clearance, U before the projection, states, memories.
+    """(U (n_u, T B), s0, psi, theta) -> next U, J (1, B), extremes, U before the projection, states, memories.
 
     theta stands for the two arrays of `Coefficients`; the memories of rollout and adjoint are for `hessian_product`.
     """
@@ -86,7 +86,7 @@ def gradient_step(problem: OCP, solver: GradientDescent, columns: int = 1) -> ca
     outputs = [
         project(problem, solver, free),
         at.value,
-        clearance(at),
+        extremes(at),
         free,
         at.rollout.states,
         *at.rollout.memory,
@@ -95,9 +95,9 @@ def gradient_step(problem: OCP, solver: GradientDescent, columns: int = 1) -> ca
     return ca.Function("gradient_step", [u, s0, psi, *theta], outputs)
 
 
-def clearance(at: Linearisation) -> ca.MX:
-    """That of the rollout from kinks of the dynamics; 0 where it is not known."""
-    return ca.MX(0.0) if at.rollout.clearance is None else at.rollout.clearance
+def extremes(at: Linearisation) -> ca.MX:
+    """Those of the rollout (n, 1); nothing where they are not known."""
+    return ca.MX(0, 1) if at.rollout.extremes is None else at.rollout.extremes
 
 
 def project(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX:
