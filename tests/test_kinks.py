@@ -217,6 +217,19 @@ def test_a_sigmoid_that_is_as_steep_as_a_step_is_none_that_a_gradient_may_be_tru
     assert found.certificate.certified is certified
 
 
+@pytest.mark.parametrize(("steepness", "certified"), [(3.0, True), (3e3, False)])
+def test_a_loss_is_smooth_where_psi_moves_the_plan_and_not_only_within_a_millionth_of_it(steepness, certified):
+    """Within a millionth of psi, u = 1000 (psi - 0.7) moves by 0.0007, and the observation from one end to the other."""
+    observation = ca.tanh(steepness * (S - 1))
+    stated = PLAIN | {"stage_cost": (U - 1e3 * (P - 0.7)) ** 2, "observation": observation}
+    seen = Demonstration(np.ones(1), np.zeros(0), np.zeros((3, 1)))
+    psi = 0.7 + 0.5e-3 / steepness
+    found = Implicit(policy="flag")(OCP.from_expressions(**stated), seen, [psi])
+    slopes = [2 * t * 1e3 * steepness * np.tanh(0.5 * t) / np.cosh(0.5 * t) ** 2 for t in (1, 2)]
+    np.testing.assert_allclose(found.gradient, sum(slopes), rtol=1e-8)
+    assert found.certificate.certified is certified
+
+
 @pytest.mark.parametrize("count", [1, 3])
 def test_every_one_of_several_demonstrations_has_its_own_kink(count):
     """The start of one of them lies on the kink of the cost in s; the others stay beside it."""

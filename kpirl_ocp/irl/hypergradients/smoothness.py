@@ -6,7 +6,7 @@ CasADi's derivative of |x| at 0 is 0, of a step everywhere: only values beside a
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import casadi as ca
 import numpy as np
@@ -30,13 +30,18 @@ class LossAt:
 
     def __init__(self, problem: OCP, loss: Loss, data: Array, x: Array) -> None:
         """x: the plan (n_w,) in the order of time."""
-        self.value, self.slopes, self._kink = loss_at(problem, _loss_and_slopes(loss), data.T, x)
+        self._beside = partial(loss_at, problem, _loss_and_slopes(loss), data.T, x)
+        self.value, self.slopes, self._kink = self._beside()
 
-    @property
-    def kinks(self) -> list[str]:
-        """A sentence if the loss is not smooth at the plan. A given s_0 does not move with psi."""
-        finite = np.isfinite(self.value) and np.isfinite(self.slopes).all()
-        return [] if not finite or self._kink <= KINK else [LOSS_KINK]
+    def kinks(self, along: Array | None = None) -> list[str]:
+        """A sentence if the loss is not smooth at the plan, in a random direction, and along a move (n_w,) of the plan.
+
+        A given s_0 does not move with psi.
+        """
+        if not (np.isfinite(self.value) and np.isfinite(self.slopes).all()):
+            return []
+        smooth = self._kink <= KINK and (along is None or not along.any() or self._beside(along)[2] <= KINK)
+        return [] if smooth else [LOSS_KINK]
 
 
 def parameter_kinks(problem: OCP, solution: Solution) -> list[str]:
@@ -50,7 +55,7 @@ def parameter_kinks(problem: OCP, solution: Solution) -> list[str]:
 def kinks_at(problem: OCP, loss: Loss, data: Array, solution: Solution) -> list[str]:
     """Sentences if the loss, or a function of psi, is not smooth at a plan; data: (n_data, T+1) of the loss."""
     plan = by_stage(solution.states, solution.actions)
-    return LossAt(problem, loss, data, plan).kinks + parameter_kinks(problem, solution)
+    return LossAt(problem, loss, data, plan).kinks() + parameter_kinks(problem, solution)
 
 
 @lru_cache(maxsize=64)

@@ -193,7 +193,7 @@ def unrolled_gradients(
     found = zip(*((x.loss, x.gradient, x.terms(at)) for x, at in zip(sweeps, ends, strict=True)), strict=True)
     kinks = descents.kinks(*map(np.array, found)).tolist()
     return [
-        sweep.result(kink, (*wrong, *at.kinks, *parameter_kinks(problem, sweep.certificate.solution)))
+        sweep.result(kink, (*wrong, *at.kinks(), *parameter_kinks(problem, sweep.certificate.solution)))
         for sweep, at, kink in zip(sweeps, ends, kinks, strict=True)
     ]
 

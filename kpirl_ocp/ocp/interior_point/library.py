@@ -167,7 +167,7 @@ KKT = _structure(
     objective=REAL,
     **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "softest"), POINTER),
     spare=Factors,
-    **dict.fromkeys(("origin", "shares", "matrices", "work"), POINTER),
+    **dict.fromkeys(("origin", "shares", "beside", "matrices", "work"), POINTER),
     **dict.fromkeys(("lowest", "qualification", "step", "margin", "distance"), REAL),
     **dict.fromkeys(("evaluated", "factored", "immovable", "conditioned", "stepped", "reached", "borrowed"), INT),
 )
@@ -206,7 +206,7 @@ _OF_SYSTEMS = {
     "certify": 8,
     "point_sizes": 4,
     "kink_in_parameters": 5,
-    "kink_of_loss": 8,
+    "kink_of_loss": 9,
 }  # functions of `c/kpirl_mpc_system.h` and `c/kpirl_mpc_kkt.h`, and how many pointers they take
 LOG = ctypes.CFUNCTYPE(None, POINTER, ctypes.POINTER(Iteration))
 

@@ -67,18 +67,22 @@ def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:
         return float(core.library.kpirl_mpc_kink_in_parameters(*given))
 
 
-def loss_at(problem: OCP, build: Build, data: Array, x: Array) -> tuple[float, Array, float]:
+def loss_at(
+    problem: OCP, build: Build, data: Array, x: Array, along: Array | None = None
+) -> tuple[float, Array, float]:
     """A loss at x (n_w,), its slopes (n_w,), and their relative jump or disagreement with differences there.
 
     Args:
         build: problem -> function (S, U, data) -> L, dL/dS, dL/dU, of dense matrices.
         data: in the function's order, by columns.
+        along: (n_w,) direction of the differences, of which a millionth is taken; by default a random one.
     """
     rows, n_w = rows_of(problem), len(x)
     value, slopes, work, given = np.empty(1), np.empty(n_w), np.empty(8 * n_w), np.ascontiguousarray(data, float)
     kept = rows.dimensions, rows.structure
     sizes = [ctypes.addressof(part) for part in kept]
+    direction = None if along is None else c.address_of(along)
     with borrow_core(problem) as core:
-        arrays = map(c.address_of, (given, x, value, slopes, work))
-        kink = core.library.kpirl_mpc_kink_of_loss(*sizes, core.function(build), *arrays)
+        arrays, results = map(c.address_of, (given, x)), map(c.address_of, (value, slopes, work))
+        kink = core.library.kpirl_mpc_kink_of_loss(*sizes, core.function(build), *arrays, direction, *results)
     return float(value[0]), slopes, float(kink)

@@ -179,6 +179,14 @@ class KKTSystem:
         return self._of_system("sizes", self.sizes_of_parts[0])
 
     @property
+    def beside(self) -> Array:
+        """(n_w,) how x moves with psi, s_0 and the context in the direction that a certificate took for them.
+
+        Zero where no certificate was asked for gradients by them, and with a barrier.
+        """
+        return c.read(self.structure.beside, self.sizes_of_parts[0])
+
+    @property
     def roots(self) -> Array:
         """(n_decisions,) of the curvature of each decision by itself, the largest over the horizon."""
         return self._of_system("roots", len(self.instance.rows.decisions))

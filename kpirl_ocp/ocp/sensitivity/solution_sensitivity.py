@@ -116,7 +116,7 @@ class Sensitivity:
             ProblemError: shapes that do not fit.
         """
         states, actions = self.problem.as_states(by_states), self.problem.as_actions(by_actions)
-        return self.pull_by_stage(by_stage(states, actions))
+        return self.pull_by_stage(by_stage(states, actions))[0]
 
     @property
     def plan(self) -> Array:
@@ -124,15 +124,15 @@ class Sensitivity:
         with borrow_core(self.problem) as core:
             return self._linearised(core).system.point.x
 
-    def pull_by_stage(self, slope: Array) -> Gradients:
-        """`pull` of a slope (n_w,) in the order of time, (s_0, u_0, s_1, .., s_T)."""
+    def pull_by_stage(self, slope: Array) -> tuple[Gradients, Array]:
+        """`pull` of a slope (n_w,) in the order of time, (s_0, u_0, s_1, .., s_T), and `KKTSystem.beside` (n_w,)."""
         with borrow_core(self.problem) as core:
             at = self._linearised(core)
             if not (at.system.finite and np.isfinite(slope).all()):
-                return Gradients.undefined(self.problem, self._certificate(at, None))
+                return Gradients.undefined(self.problem, self._certificate(at, None)), np.zeros(slope.shape)
             found, evidence = measure(core, at.system, at.nearby, slope)
-            certificate = self._certificate(at, evidence)
-        return Gradients.of_plan(self.problem, slope, found, certificate)
+            certificate, beside = self._certificate(at, evidence), at.system.beside
+        return Gradients.of_plan(self.problem, slope, found, certificate), beside
 
     def push(
         self, psi: ArrayLike | None = None, s0: ArrayLike | None = None, context: ArrayLike | None = None

@@ -122,6 +122,7 @@ real kpirl_mpc_kink_beside(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const k
   memset(tangent.x, 0, (size_t)kpirl_mpc_system_n_triple(&k->system) * sizeof(real));
   tangent_right(&k->system, left, right, &of_tangent);
   kpirl_mpc_kkt_refine(&with, &of_tangent, TANGENT, TANGENT, &tangent);
+  memcpy(k->beside, tangent.x, (size_t)kpirl_mpc_system_n_point(&k->system) * sizeof(real));
   for (i = 0; i < 2; ++i) {
     const real far = slope_left(k, core, weights, moves, &tangent, here, steps[i], work);
     real whole = kpirl_mpc_worse(kpirl_mpc_worse(total, kpirl_mpc_abs(far)), ROUNDING * terms / DIFFERENCE);
@@ -183,6 +184,7 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
   evidence->qualification = k->qualification;
   evidence->step = evidence->change = evidence->kink = (real)INFINITY;
   evidence->margin = (real)NAN;
+  memset(k->beside, 0, (size_t)n_w * sizeof(real));
   finite = kpirl_mpc_all_finite(adjoint->x, n_w) && (!direction || kpirl_mpc_all_finite(direction, n_w));
   if (finite) {
     look_around(k, nearby, core, slope, direction, evidence);

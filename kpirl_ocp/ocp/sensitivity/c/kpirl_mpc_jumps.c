@@ -227,12 +227,15 @@ static void find_move(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows *rows
 }
 
 real kpirl_mpc_kink_of_loss(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows *rows, const kpirl_mpc_loss *loss,
-                            const real *data, const real *x, real *value, real *slopes, real *work) {
+                            const real *data, const real *x, const real *along, real *value, real *slopes, real *work) {
   static const real steps[] = {0, 1, -1, (real)0.1, (real)-0.1};
   const int n_w = of->horizon * (of->n_states + of->n_actions) + of->n_states;
   real values[5], *move = work, *moved = move + n_w, *own = moved + 5 * n_w, sides[2], expected, bend = 0, whole, off;
   int i, j, failed = 0;
-  find_move(of, rows, x, move);
+  if (along)
+    memcpy(move, along, (size_t)n_w * sizeof(real));
+  else
+    find_move(of, rows, x, move);
   for (j = 0; j < 5; ++j)
     failed |= evaluate(of, loss, data, x, move, steps[j] * DIFFERENCE, values + j, moved + j * n_w, own);
   *value = values[0];

@@ -91,6 +91,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
   k->shares = take(&from, m);
   k->softest = take(&from, n_w);
   k->origin = take(&from, n_w);
+  k->beside = take(&from, n_w);
   k->matrices = take(&from, n_matrices(s));
   k->work = take(&from, VECTORS * (size_t)kpirl_mpc_system_n_triple(s) + OF_PARAMETERS * n_p);
   return from.used;

@@ -69,6 +69,7 @@ typedef struct kpirl_mpc_kkt {
   kpirl_mpc_factors spare;    /* of another matrix */
   real *origin;               /* (n_w) x before it was polished */
   real *shares;               /* (m) kpirl_mpc_force_shares */
+  real *beside;               /* (n_w) of x, where the parameters move as in kpirl_mpc_kink_in_parameters; zero until it is known */
   real *matrices, *work;
   real lowest, qualification; /* that eigenvalue; the smallest singular value of the active rows */
   real step, margin;          /* kpirl_mpc_kkt_step, kpirl_mpc_kkt_reach */
@@ -230,9 +231,9 @@ void kpirl_mpc_certify_each(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, kpirl_mpc
 /* Sizes (n_w) of the entries of x: the largest absolute value over the horizon, finite bounds included. */
 void kpirl_mpc_point_sizes(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, const real *x, real *sizes);
 
-/* Value and slopes (n_w) of a loss at x; and the relative jump of the slopes, or disagreement of differences with them, along a
- * direction in which given entries of s_0 stay. work: 8 n_w numbers. */
+/* Value and slopes (n_w) of a loss at x; and the relative jump of the slopes, or disagreement of differences with them, along `along`
+ * (n_w), or, where that is NULL, a random direction in which given entries of s_0 stay. work: 8 n_w numbers. */
 real kpirl_mpc_kink_of_loss(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, const kpirl_mpc_loss *loss,
-                            const real *data, const real *x, real *value, real *slopes, real *work);
+                            const real *data, const real *x, const real *along, real *value, real *slopes, real *work);
 
 #endif
