@@ -219,7 +219,7 @@ def test_a_sigmoid_that_is_as_steep_as_a_step_is_none_that_a_gradient_may_be_tru
 
 @pytest.mark.parametrize(("steepness", "certified"), [(3.0, True), (3e3, False)])
 def test_a_loss_is_smooth_where_psi_moves_the_plan_and_not_only_within_a_millionth_of_it(steepness, certified):
-    """Within a millionth of psi, u = 1000 (psi - 0.7) moves by 0.0007, and the observation from one end to the other."""
+    """Within a millionth of psi, u = 1000 (psi - 0.7) moves by 0.0007, and the observation from end to end."""
     observation = ca.tanh(steepness * (S - 1))
     stated = PLAIN | {"stage_cost": (U - 1e3 * (P - 0.7)) ** 2, "observation": observation}
     seen = Demonstration(np.ones(1), np.zeros(0), np.zeros((3, 1)))
@@ -342,6 +342,19 @@ def test_polynomials_that_are_as_steep_in_psi_as_a_sigmoid_are_not_taken_for_har
     seen = Demonstration(np.ones(1), np.zeros(0), np.array([[1.0], [0.5], [1.0]]))
     for method in (Implicit(policy="flag"), Unrolled(GradientDescent(100, 0.1), policy="flag")):
         assert not method(OCP.from_expressions(**stated), seen, [p]).certificate.certified
+
+
+@pytest.mark.parametrize(("steepness", "certified"), [(1e2, True), (1e8, False)])
+def test_a_plan_that_turns_within_a_millionth_of_psi_has_no_certified_derivative_though_its_adjoint_sees_none(
+    steepness, certified
+):
+    """At psi = 0.7 actions move nothing, and no condition with a weight; beside it they move all."""
+    stated = PLAIN | {"dynamics": S + steepness * (P - 0.7) * U, "stage_cost": (U - 0.2) ** 2 + (S - 1) ** 2}
+    problem = OCP.from_expressions(**stated, terminal_cost=(S - 0.3) ** 2)
+    seen = Demonstration(np.ones(1), np.zeros(0), np.array([[1.0], [0.5], [1.0]]))
+    found = Implicit(policy="flag")(problem, seen, [0.7])
+    assert found.gradient[0] == pytest.approx(0.2 * steepness, rel=1e-8)
+    assert found.certificate.certified is certified
 
 
 @pytest.mark.parametrize(("beside", "certified"), [(1e-7, False), (1e-3, True)])

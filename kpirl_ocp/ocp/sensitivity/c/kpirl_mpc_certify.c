@@ -19,6 +19,7 @@ static const real DIFFERENCE = (real)1e-6; /* step of a difference quotient, as 
 static const real CLOSER = (real)0.1;      /* of two steps the shorter one; what is left of jumps does not shrink with it */
 static const real CURVED = (real)0.1;      /* share of the terms of a slope that may be curvature, ... */
 static const real BENT = (real)1e-3;       /* ... or of the terms that conditions are made of */
+static const real STILL = (real)1e-3;      /* relative move of a plan that hardly moves */
 static const real ROUNDING = (real)1e-14;  /* of these */
 static const real TANGENT = (real)1e-11;    /* relative residual of a tangent */
 
@@ -98,37 +99,46 @@ static real cancelling(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *weights) 
   return sum;
 }
 
-/* (w.F at step h - w.F here) / h. */
+/* (w.F at step h - w.F here) / h, and F there. */
 static real slope_left(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
-                       const kpirl_mpc_triple *tangent, real here, real length, real *work) {
+                       const kpirl_mpc_triple *tangent, real here, real length, real *values, real *work) {
   const kpirl_mpc_system *s = &k->system;
   kpirl_mpc_kkt there = *k;
-  real *values = kpirl_mpc_place_triple(s, work, &there.point);
   int i;
+  work = kpirl_mpc_place_triple(s, work, &there.point);
   for (i = 0; i < kpirl_mpc_system_n_triple(s); ++i) there.point.x[i] = k->point.x[i] + length * tangent->x[i];
-  work = values + kpirl_mpc_n_conditions(s);
   return (kpirl_mpc_weighted_beside(&there, core, weights, moves, length, values, work) - here) / length;
 }
 
+/* The part of its move by which the plan, to first order, differs from the one predicted: the weights may not see it. */
+static real plan_left(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *tangent, const real *here, const real *there,
+                      kpirl_mpc_triple *residual) {
+  const kpirl_mpc_system *s = &k->system;
+  const real move = kpirl_mpc_larger(kpirl_mpc_point_norm(s, tangent->x), STILL * kpirl_mpc_point_norm(s, s->sizes));
+  tangent_right(s, here, there, residual);
+  return 2 * kpirl_mpc_system_reach(s, residual) / move;
+}
+
 real kpirl_mpc_kink_beside(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
-                           const real *left, const real *right, real here, real total, real *work) {
+                           const real *left, const real *at, const real *right, real here, real total, real *work) {
   const real steps[] = {DIFFERENCE, -DIFFERENCE}, terms = cancelling(k, weights);
   kpirl_mpc_kkt with = *k;
   kpirl_mpc_triple of_tangent, tangent;
-  real worst = 0;
+  real *values = work, worst = 0;
   int i;
-  work = kpirl_mpc_place_triple(&k->system, work, &of_tangent);
+  work = kpirl_mpc_place_triple(&k->system, work + kpirl_mpc_n_conditions(&k->system), &of_tangent);
   work = kpirl_mpc_place_triple(&k->system, work, &tangent);
   memset(tangent.x, 0, (size_t)kpirl_mpc_system_n_triple(&k->system) * sizeof(real));
   tangent_right(&k->system, left, right, &of_tangent);
   kpirl_mpc_kkt_refine(&with, &of_tangent, TANGENT, TANGENT, &tangent);
   memcpy(k->beside, tangent.x, (size_t)kpirl_mpc_system_n_point(&k->system) * sizeof(real));
   for (i = 0; i < 2; ++i) {
-    const real far = slope_left(k, core, weights, moves, &tangent, here, steps[i], work);
+    const real far = slope_left(k, core, weights, moves, &tangent, here, steps[i], values, work);
     real whole = kpirl_mpc_worse(kpirl_mpc_worse(total, kpirl_mpc_abs(far)), ROUNDING * terms / DIFFERENCE);
     real off = kpirl_mpc_abs(far);
+    if (!(plan_left(k, &tangent, at, values, &of_tangent) <= CURVED)) return (real)INFINITY;
     if (off > KPIRL_MPC_NO_KINK * whole && off <= CURVED * total + BENT * terms) {
-      const real near = slope_left(k, core, weights, moves, &tangent, here, CLOSER * steps[i], work);
+      const real near = slope_left(k, core, weights, moves, &tangent, here, CLOSER * steps[i], values, work);
       whole = kpirl_mpc_worse(whole, ROUNDING * terms / (CLOSER * DIFFERENCE));
       off = kpirl_mpc_abs(near - CLOSER * far) / (1 - CLOSER);
     }

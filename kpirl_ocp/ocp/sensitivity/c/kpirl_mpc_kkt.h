@@ -180,10 +180,10 @@ real kpirl_mpc_weighted_beside(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, c
                                real length, real *values, real *work);
 
 /* How far the slopes of the weighted conditions are from zero, relative to `total`, to both sides along the plan that derivatives
- * predict where the parameters move; what is proportional to the step is curvature. left, right: conditions where parameters alone
- * have moved, by -1e-6 and 1e-6 of moves. here: the weighted sum. */
+ * predict where the parameters move; what is proportional to the step is curvature. Infinite where the plan itself moves otherwise.
+ * left, at, right: conditions where parameters alone have moved, by -1e-6, 0 and 1e-6 of moves. here: the weighted sum. */
 real kpirl_mpc_kink_beside(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
-                           const real *left, const real *right, real here, real total, real *work);
+                           const real *left, const real *at, const real *right, real here, real total, real *work);
 
 /* Derivatives of the weighted conditions by psi and the context at others than those of the point. Returns 0 when all went well. */
 int kpirl_mpc_weigh(const kpirl_mpc_kkt *kkt, const kpirl_mpc_weighted *function, const kpirl_mpc_triple *weights,

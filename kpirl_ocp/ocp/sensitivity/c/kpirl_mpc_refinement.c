@@ -73,7 +73,7 @@ static real gradient_norm(const kpirl_mpc_system *s, const real *values) {
   return kpirl_mpc_length(v, kpirl_mpc_system_n_point(s));
 }
 
-static real point_norm(const kpirl_mpc_system *s, const real *x) {
+real kpirl_mpc_point_norm(const kpirl_mpc_system *s, const real *x) {
   real *v = s->scratch;
   int i;
   for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) v[i] = x[i] / s->sizes[i];
@@ -121,7 +121,7 @@ static real error_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, c
   real gradient = gradient_norm(s, right->x), decisions = kpirl_mpc_decision_norm(s, point->x), x, parts[3];
   if (gaps > 0 || values > 0) gradient = kpirl_mpc_larger(gradient, successor_norm(s, point->costates, 0));
   decisions = kpirl_mpc_larger(kpirl_mpc_larger(decisions, least), values);
-  x = kpirl_mpc_larger(kpirl_mpc_larger(point_norm(s, point->x), gaps), kpirl_mpc_over(least, kpirl_mpc_decision_norm(s, s->sizes)));
+  x = kpirl_mpc_larger(kpirl_mpc_larger(kpirl_mpc_point_norm(s, point->x), gaps), kpirl_mpc_over(least, kpirl_mpc_decision_norm(s, s->sizes)));
   parts[0] = kpirl_mpc_over(gradient_norm(s, residual->x), gradient);
   parts[1] = kpirl_mpc_over(successor_norm(s, residual->costates, 1), x);
   parts[2] = kpirl_mpc_over(row_norm(s, residual->forces), decisions);
@@ -182,10 +182,21 @@ real kpirl_mpc_system_change(const kpirl_mpc_system *s, const kpirl_mpc_system *
   return (real)INFINITY;
 }
 
+/* The solution for a residual by one substitution; returns |dx|. */
+static real substitute(const kpirl_mpc_system *s, kpirl_mpc_triple *residual, kpirl_mpc_triple *change) {
+  real *work = kpirl_mpc_place_triple(s, s->scratch + kpirl_mpc_system_inner_scratch(s), change);
+  memset(change->x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
+  only_equations(s, change->start, change->x, residual);
+  return correct(s, residual, change, work);
+}
+
 real kpirl_mpc_system_first_change(const kpirl_mpc_system *s, kpirl_mpc_triple *residual, const kpirl_mpc_triple *point) {
   kpirl_mpc_triple change;
-  real *work = kpirl_mpc_place_triple(s, s->scratch + kpirl_mpc_system_inner_scratch(s), &change);
-  memset(change.x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
-  only_equations(s, change.start, change.x, residual);
-  return correct(s, residual, &change, work) / kpirl_mpc_decision_norm(s, point->x);
+  return substitute(s, residual, &change) / kpirl_mpc_decision_norm(s, point->x);
+}
+
+real kpirl_mpc_system_reach(const kpirl_mpc_system *s, kpirl_mpc_triple *right) {
+  kpirl_mpc_triple change;
+  substitute(s, right, &change);
+  return kpirl_mpc_point_norm(s, change.x);
 }

@@ -96,6 +96,10 @@ real kpirl_mpc_system_change(const kpirl_mpc_system *system, const kpirl_mpc_sys
 /* Its first share, to first order, from the residual that point has in the system nearby; residual is overwritten. */
 real kpirl_mpc_system_first_change(const kpirl_mpc_system *system, kpirl_mpc_triple *residual, const kpirl_mpc_triple *point);
 
+/* The length over x, in units of its sizes, of the solution for a right-hand side, which is overwritten, by one substitution. */
+real kpirl_mpc_system_reach(const kpirl_mpc_system *system, kpirl_mpc_triple *right);
+real kpirl_mpc_point_norm(const kpirl_mpc_system *system, const real *x);
+
 /* The highest (lowest if `negative`) eigenvalue of the inverse of the reduced Hessian, in the decisions by their roots, with its
  * vector of length one as x (n_w). */
 real kpirl_mpc_system_softest(const kpirl_mpc_system *system, int negative, const real *start, real *direction);
