@@ -204,6 +204,8 @@ void kpirl_mpc_path_push(const kpirl_mpc_core *core, const real *matrix, int row
 /* start */
 void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x);
 void kpirl_mpc_estimate_costates(kpirl_mpc_core *core);
+void kpirl_mpc_begin_here(kpirl_mpc_core *core, real tau);
+void kpirl_mpc_begin_lightly(kpirl_mpc_core *core, real tau);
 void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, real tau);
 
 /* derivatives */

@@ -8,10 +8,10 @@
 
 #include <string.h>
 
-static const real START = (real)0.1;       /* tau of a cold start, see start_tau */
 static const real WARM = (real)1e-3;      /* largest tau of a warm start */
 static const real SHORTEST = (real)1e-10;  /* step off a point that is no minimum */
 static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
+static const int LONG = 30;               /* iterations along the dynamics before another attempt */
 static const int RESTORATIONS = 5;        /* in one solve, twice */
 
 static int finite(const kpirl_mpc_core *core) {
@@ -67,33 +67,6 @@ static kpirl_mpc_status why_stuck(kpirl_mpc_core *core) {
   return KPIRL_MPC_STALLED;
 }
 
-/* Where the barrier weighs as a share of the objective: its gradient times the harmonic mean of the slacks, in any units. */
-real kpirl_mpc_start_tau(const kpirl_mpc_core *core) {
-  const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
-  const real gradient = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
-  real inverse = 0;
-  int i;
-  for (i = 0; i < m; ++i) inverse += 1 / core->at.y[i];
-  return START * (gradient > 0 ? gradient : 1) * (m > 0 ? (real)m / inverse : 1);
-}
-
-/* Begin from core->at.x and its slacks: tau, multipliers, derivatives, and a new filter. */
-static void begin_here(kpirl_mpc_core *core, real tau) {
-  const int m = kpirl_mpc_n_inequalities(core);
-  int i;
-  core->tau = core->start_tau = core->indefinite_tau = tau;
-  core->most_violation = core->most_gradient = 0;
-  core->held = 0;
-  core->escaped_tau = (real)INFINITY;
-  for (i = 0; i < m; ++i) core->at.z[i] = kpirl_mpc_larger(core->at.z[i], tau / core->at.y[i]);
-  core->regularisation = 0;
-  core->step.positive = 0; /* there was no step yet */
-  for (i = 0; i < 3; ++i) core->best[i] = (real)INFINITY;
-  core->idle = 0;
-  kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
-  kpirl_mpc_start_filter(core);
-}
-
 /* A solution is no minimum where the Hessian is not positive. Newton steps that needed no regularisation know that it is. */
 static int to_be_examined(const kpirl_mpc_core *core) { return !core->step.positive || core->step.regularisation > 0; }
 
@@ -103,7 +76,7 @@ static kpirl_mpc_status converge(kpirl_mpc_core *core) {
     if (kpirl_mpc_solved(core)) {
       const int left = to_be_examined(core) ? kpirl_mpc_escape(core, SHORTEST) : 0;
       if (left <= 0) return left ? KPIRL_MPC_NOT_A_MINIMUM : KPIRL_MPC_CONVERGED;
-      begin_here(core, core->options.barrier > 0 ? core->tau : kpirl_mpc_larger(core->tau, kpirl_mpc_start_tau(core)));
+      kpirl_mpc_begin_here(core, core->options.barrier > 0 ? core->tau : kpirl_mpc_larger(core->tau, kpirl_mpc_start_tau(core)));
       continue;
     }
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
@@ -153,11 +126,14 @@ static real warm_barrier(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   return isfinite(error) ? kpirl_mpc_smaller(kpirl_mpc_larger(error, final), WARM) : WARM;
 }
 
-/* The iterate, its derivatives and a new filter; warm: with the multipliers of the start. */
-static void begin(kpirl_mpc_core *core, const kpirl_mpc_start *start, int warm) {
+/* The multipliers to begin with: those of the start; of the barrier, tau / y; or light ones, see kpirl_mpc_begin_lightly. */
+typedef enum { OF_START, OF_BARRIER, LIGHT } multipliers;
+
+/* The iterate, its derivatives and a new filter. */
+static void begin(kpirl_mpc_core *core, const kpirl_mpc_start *start, multipliers z) {
   const real barrier = (real)core->options.barrier;
   real tau = barrier;
-  if (warm) {
+  if (z == OF_START) {
     if (barrier <= 0) tau = warm_barrier(core, start);
     kpirl_mpc_warm_start(core, start, tau);
   } else {
@@ -167,8 +143,11 @@ static void begin(kpirl_mpc_core *core, const kpirl_mpc_start *start, int warm) 
       tau = kpirl_mpc_start_tau(core);
     }
   }
-  core->no_costates = !warm;
-  begin_here(core, tau);
+  core->no_costates = z != OF_START;
+  if (z == LIGHT && barrier <= 0)
+    kpirl_mpc_begin_lightly(core, tau);
+  else
+    kpirl_mpc_begin_here(core, tau);
 }
 
 static int stuck(kpirl_mpc_status status) {
@@ -191,7 +170,7 @@ static kpirl_mpc_status converge_restoring(kpirl_mpc_core *core) {
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
     if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
     if (restoration == KPIRL_MPC_NOT_RESTORED) return status;
-    begin_here(core, kpirl_mpc_smaller(core->tau, kpirl_mpc_start_tau(core)));
+    kpirl_mpc_begin_here(core, kpirl_mpc_smaller(core->tau, kpirl_mpc_start_tau(core)));
     status = converge(core);
   }
   return status;
@@ -218,7 +197,20 @@ static void begin_again(kpirl_mpc_core *core) {
   memset(core->at.costates, 0, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
   core->no_costates = 1;
   kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
-  begin_here(core, kpirl_mpc_start_tau(core));
+  kpirl_mpc_begin_here(core, kpirl_mpc_start_tau(core));
+}
+
+/* Along the dynamics from the guess; where that takes long, with multipliers of the barrier. */
+static kpirl_mpc_status follow_dynamics(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
+  const int most = core->options.max_iterations, left = most - core->iterations;
+  kpirl_mpc_status status;
+  begin(core, guess, LIGHT);
+  core->options.max_iterations = core->iterations + (left < LONG ? left : LONG);
+  status = converge_restoring(core);
+  core->options.max_iterations = most;
+  if (status != KPIRL_MPC_ITERATION_LIMIT || core->iterations >= most) return status;
+  begin(core, guess, OF_BARRIER);
+  return converge_restoring(core);
 }
 
 /* With lifted steps; where they get stuck, with steps along the dynamics: from there if there was a step, which led nowhere, then
@@ -229,12 +221,12 @@ static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start)
   kpirl_mpc_start rolled;
   kpirl_mpc_status status;
   core->lifted = 1;
-  begin(core, start, warm);
+  begin(core, start, warm ? OF_START : LIGHT);
   if (core->options.steps) return advance(core);
   if (warm) {
     status = converge(core);
     if (!stuck(status)) return status;
-    begin(core, start, 0);
+    begin(core, start, LIGHT);
   }
   status = converge_restoring(core);
   if (!given_up(core, status)) return status;
@@ -244,10 +236,9 @@ static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start)
     status = converge_restoring(core);
     if (!given_up(core, status)) return status;
   }
-  begin(core, start, 0);
-  status = converge_restoring(core);
+  status = follow_dynamics(core, start);
   if (!given_up(core, status) || !roll_guess_out(core, start, &rolled)) return status;
-  begin(core, &rolled, 0);
+  begin(core, &rolled, LIGHT);
   return converge_restoring(core);
 }
 

@@ -7,6 +7,8 @@
 #include <string.h>
 
 static const real LARGEST = (real)1e3; /* costates, relative to the gradient */
+static const real START = (real)0.1;   /* tau of a cold start, see start_tau */
+static const int DOUBLED = 9;          /* how often multipliers of bounds of a cold start are, until the Hessian is positive */
 static const real PUSH = (real)0.4; /* how far a cold start is moved inside its bounds, relative to size and distance */
 
 /* x inside its bounds (Waechter and Biegler, 2006, section 3.6), and onto them where they coincide. */
@@ -95,4 +97,62 @@ void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, re
     at->y[i] = isnan(g) ? g : kpirl_mpc_larger(-g, least);
     at->z[i] = kpirl_mpc_larger(at->z[i], tau / at->y[i]);
   }
+}
+
+/* Where the barrier weighs as a share of the objective: its gradient times the harmonic mean of the slacks, in any units. */
+real kpirl_mpc_start_tau(const kpirl_mpc_core *core) {
+  const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
+  const real gradient = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
+  real inverse = 0;
+  int i;
+  for (i = 0; i < m; ++i) inverse += 1 / core->at.y[i];
+  return START * (gradient > 0 ? gradient : 1) * (m > 0 ? (real)m / inverse : 1);
+}
+
+/* Begin from core->at and its slacks: tau, derivatives, and a new filter. */
+static void begin_with(kpirl_mpc_core *core, real tau) {
+  int i;
+  core->tau = core->start_tau = core->indefinite_tau = tau;
+  core->most_violation = core->most_gradient = 0;
+  core->held = 0;
+  core->escaped_tau = (real)INFINITY;
+  core->regularisation = 0;
+  core->step.positive = 0; /* there was no step yet */
+  for (i = 0; i < 3; ++i) core->best[i] = (real)INFINITY;
+  core->idle = 0;
+  kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
+  kpirl_mpc_start_filter(core);
+}
+
+/* With multipliers of at least tau / y. */
+void kpirl_mpc_begin_here(kpirl_mpc_core *core, real tau) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  int i;
+  for (i = 0; i < m; ++i) core->at.z[i] = kpirl_mpc_larger(core->at.z[i], tau / core->at.y[i]);
+  begin_with(core, tau);
+}
+
+/* Equal multipliers of bounds, of half the average size of the gradient of the objective, or as much larger as makes the
+ * Hessian positive; returns whether one of them does. */
+static int find_light_multipliers(kpirl_mpc_core *core) {
+  const int n_s = DIM(core, n_states), count = kpirl_mpc_n_point(core) - n_s, bounds = kpirl_mpc_n_bounds(core);
+  real light = kpirl_mpc_absolute_sum(core->d.cost_gradient + n_s, count) / (real)(2 * count);
+  int i, doubled;
+  for (doubled = 0; light > 0 && doubled <= DOUBLED; ++doubled, light *= 2) {
+    for (i = 0; i < bounds; ++i) core->at.z[i] = light;
+    if (kpirl_mpc_factorise(core, 0)) return 1;
+  }
+  return 0;
+}
+
+/* Begin cold, with multipliers of bounds that do not outweigh the objective, as tau / y does, where there are some. */
+void kpirl_mpc_begin_lightly(kpirl_mpc_core *core, real tau) {
+  const int m = kpirl_mpc_n_inequalities(core), bounds = kpirl_mpc_n_bounds(core);
+  real *z = core->at.z;
+  int i;
+  for (i = 0; i < m; ++i) z[i] = i < bounds ? 0 : tau / core->at.y[i];
+  begin_with(core, tau);
+  if (bounds > 0 && !find_light_multipliers(core))
+    for (i = 0; i < bounds; ++i) z[i] = tau / core->at.y[i];
+  kpirl_mpc_push_bounds(core, z, core->at.nu, core->d.gradient);
 }
