@@ -7,6 +7,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from units import in_units
 
 from kpirl_ocp import OCP, Riccati, Status, Trajectory
 
@@ -111,6 +112,28 @@ def test_units_of_cost_and_states_change_neither_the_plan_nor_the_iterations_by_
         assert found.status.ok
         np.testing.assert_allclose(found.actions / length_unit, expected.actions, rtol=0, atol=1e-5)
         assert found.iterations <= 2 * expected.iterations + 8
+
+
+@pytest.mark.parametrize("state", [(1, 2**10), (2**-10, 1), (8, 1 / 8)])
+@pytest.mark.parametrize("action", [(1, 2**10), (2**-10, 1), (1 / 4, 4)])
+def test_a_unit_of_each_state_and_action_changes_a_cold_start_by_an_iteration_at_most(state, action):
+    """By one, as tau depends on them."""
+    s, u = ca.SX.sym("s", 2), ca.SX.sym("u", 2)
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=20,
+        state_bounds=([-2, -0.6], [2, 0.6]),
+        action_bounds=([-1, -0.5], [1, 0.5]),
+        dynamics=s + 0.1 * ca.vertcat(s[1] + 0.1 * u[1], u[0] - 0.2 * s[1]),
+        stage_cost=ca.sumsqr(s) + 0.1 * ca.sumsqr(u),
+    )
+    s0 = np.array([1.5, 0.3])
+    expected = Riccati().solve(problem, s0)
+    found = Riccati().solve(in_units(problem, state=state, action=action), s0 / state)
+    assert found.status.ok
+    np.testing.assert_allclose(found.actions * action, expected.actions, rtol=0, atol=1e-5)
+    assert abs(found.iterations - expected.iterations) <= 1
 
 
 def test_closed_loop_near_equilibrium_never_runs_to_the_iteration_limit():

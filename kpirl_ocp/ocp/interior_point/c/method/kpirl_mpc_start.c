@@ -132,15 +132,38 @@ void kpirl_mpc_begin_here(kpirl_mpc_core *core, real tau) {
   begin_with(core, tau);
 }
 
-/* Equal multipliers of bounds, of half the average size of the gradient of the objective, or as much larger as makes the
- * Hessian positive; returns whether one of them does. */
+/* Which entry of x the i-th bound is of. */
+static int bounded_entry(const kpirl_mpc_core *core, int i) {
+  return i < core->n_lower ? core->lower[i] : core->upper[i - core->n_lower];
+}
+
+/* A bound's multiplier times the average slack of its variable is the same for all bounds, in units of the objective: the average
+ * of |gradient of the objective| times the size of the variable, which is this slack, or |x| where there are no bounds. */
+static void guess_light_multipliers(kpirl_mpc_core *core) {
+  const int n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), n_w = kpirl_mpc_n_point(core);
+  const int bounds = kpirl_mpc_n_bounds(core);
+  real *slack = core->scratch, *count = slack + n_x, work = 0; /* slacks of every state and action, over the stages */
+  int i;
+  memset(slack, 0, (size_t)(2 * n_x) * sizeof(real));
+  for (i = 0; i < bounds; ++i) {
+    slack[bounded_entry(core, i) % n_x] += core->at.y[i];
+    count[bounded_entry(core, i) % n_x] += 1;
+  }
+  for (i = 0; i < n_x; ++i)
+    if (count[i] > 0) slack[i] /= count[i];
+  for (i = n_s; i < n_w; ++i)
+    work += kpirl_mpc_abs(core->d.cost_gradient[i] * (count[i % n_x] > 0 ? slack[i % n_x] : core->at.x[i]));
+  for (i = 0; i < bounds; ++i) core->at.z[i] = work / ((real)(n_w - n_s) * slack[bounded_entry(core, i) % n_x]);
+}
+
+/* The light multipliers of bounds, or as much larger ones as make the Hessian positive; returns whether some of them do. */
 static int find_light_multipliers(kpirl_mpc_core *core) {
-  const int n_s = DIM(core, n_states), count = kpirl_mpc_n_point(core) - n_s, bounds = kpirl_mpc_n_bounds(core);
-  real light = kpirl_mpc_absolute_sum(core->d.cost_gradient + n_s, count) / (real)(2 * count);
+  const int bounds = kpirl_mpc_n_bounds(core);
   int i, doubled;
-  for (doubled = 0; light > 0 && doubled <= DOUBLED; ++doubled, light *= 2) {
-    for (i = 0; i < bounds; ++i) core->at.z[i] = light;
+  guess_light_multipliers(core);
+  for (doubled = 0; core->at.z[0] > 0 && doubled <= DOUBLED; ++doubled) {
     if (kpirl_mpc_factorise(core, 0)) return 1;
+    for (i = 0; i < bounds; ++i) core->at.z[i] *= 2;
   }
   return 0;
 }
