@@ -99,7 +99,7 @@ void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, re
   }
 }
 
-/* Where the barrier weighs as a share of the objective: its gradient times the harmonic mean of the slacks, in any units. */
+/* Where the barrier weighs as a share of the objective: its gradient times the harmonic mean of the slacks. */
 real kpirl_mpc_start_tau(const kpirl_mpc_core *core) {
   const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
   const real gradient = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
