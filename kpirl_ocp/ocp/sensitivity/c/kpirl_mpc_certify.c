@@ -95,7 +95,7 @@ static real cancelling(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *weights) 
     const int next = (i / n_s + 1) * n_x + i % n_s;
     sum += kpirl_mpc_abs(weights->x[next] * k->point.costates[i]) + kpirl_mpc_abs(weights->costates[i]) * s->sizes[next];
   }
-  for (i = s->n_bounds; i < kpirl_mpc_system_n_rows(s); ++i) sum += kpirl_mpc_abs(weights->forces[i]) * k->row_sizes[i];
+  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) sum += kpirl_mpc_abs(weights->forces[i]) * k->row_sizes[i];
   return sum;
 }
 
