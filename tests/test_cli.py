@@ -413,15 +413,12 @@ def test_wrong_input_of_the_camera_is_one_sentence(words, beginning, tmp_path, m
     assert refusal(words.split(), capsys).startswith(beginning)
 
 
-def test_a_missing_package_is_a_sentence_with_the_extra_that_brings_it(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    for name in [name for name in sys.modules if name.startswith(("kpirl_ocp.cli.commands", "kpirl_ocp.perception"))]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "torch", None)
-    sentence = refusal(["train-dynamics", "--detector", __file__, "--data", ".", "--test", "."], capsys)
-    assert (
-        sentence == '`kpirl train-dynamics` needs torch, which is not installed: pip install "kpirl-ocp[perception]".'
-    )
+def test_a_missing_package_is_a_sentence_with_the_extra_that_brings_it(tmp_path):
+    without = "import sys; sys.modules['torch'] = None; from kpirl_ocp.cli.main import main; main()"
+    command = [sys.executable, "-c", without, "train-dynamics", "--detector", __file__, "--data", ".", "--test", "."]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path)
+    sentence = '`kpirl train-dynamics` needs torch, which is not installed: pip install "kpirl-ocp[perception]".'
+    assert (result.returncode, result.stdout, result.stderr) == (2, "", f"error: {sentence}\n")
 
 
 def test_the_names_that_options_accept_are_those_of_the_package():
