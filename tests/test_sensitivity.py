@@ -17,6 +17,7 @@ from kpirl_ocp.errors import CertificateError, ProblemError
 from kpirl_ocp.irl.hypergradients.implicit import differentiate
 from kpirl_ocp.ocp.problem.layout import pack
 
+S, U = ca.SX.sym("s"), ca.SX.sym("u")
 ROWS = [*((name, 0.0) for name in TABLE), ("integrator", 1e-3), ("tanh network", 1e-4)]
 
 
@@ -253,6 +254,39 @@ def test_slopes_that_are_nan_give_nan_and_say_so():
     found = sensitivity(case.problem, solution, policy="flag").pull(by_states, by_actions)
     assert all(np.isnan(part).all() for part in (found.psi, found.s0, found.context))
     assert "NaN" in str(found.certificate)
+
+
+def from_start(cost, start, least):
+    """Gradients by s_0 of the sum of all states and actions, of a problem without psi and context."""
+    problem = OCP.from_expressions(
+        state=S,
+        action=U,
+        dynamics=0.9 * S + U,
+        stage_cost=cost,
+        terminal_cost=S**2,
+        action_bounds=(least, 1),
+        horizon=4,
+    )
+    solution = Riccati().solve(problem, [start])
+    return solution, sensitivity(problem, solution, "flag").pull(np.ones((5, 1)), np.ones((4, 1)))
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-2, 1e-1])
+def test_a_quadratic_program_without_parameters_has_no_kink_and_the_slope_of_its_differences(step):
+    cost = (S - 0.2) ** 2 + S * U + 3 * U**2
+    (at, found), (beside, _) = (from_start(cost, start, -0.3) for start in (1.0, 1.0 + step))
+    assert found.certificate.certified
+    assert found.certificate.kink == 0.0
+    assert 0 < found.certificate.active.sum() < 4
+    change = beside.states.sum() + beside.actions.sum() - at.states.sum() - at.actions.sum()
+    np.testing.assert_allclose(found.s0, change / step, rtol=1e-8)
+
+
+@pytest.mark.parametrize(("start", "certified"), [(1.0, False), (1.1, True)])
+def test_a_kink_in_the_initial_state_of_a_problem_without_parameters_is_flagged(start, certified):
+    _, found = from_start(S**2 + ca.fabs(S - 1) * U + U**2, start, -1)
+    assert found.certificate.certified == certified
+    assert ("kink" in str(found.certificate)) != certified
 
 
 def test_arguments_of_another_shape_are_refused():

@@ -87,7 +87,8 @@ class SensitivityCertificate(Certificate):
         is. Is the solution close enough to differentiate? Zero for quadratic programs, whose second derivatives are
         the same everywhere.
     kink: relative disagreement of derivatives, along the adjoint or the tangent and along psi, s_0 and the context,
-        with differences to either side: is the problem smooth here? Along x, quadratic programs are.
+        with differences to either side: is the problem smooth here? Along x, quadratic programs are; without psi and
+        context along s_0, too.
     linear_residual: of the adjoint or tangent system, relative.
     active: (n_rows,) bool; rows as in `sensitivity.rows.rows_of`: bounds, path constraints, then equalities.
     barrier: tau; above zero the derivative is that of the smoothed problem.

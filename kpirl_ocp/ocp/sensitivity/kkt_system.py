@@ -182,7 +182,8 @@ class KKTSystem:
     def beside(self) -> Array:
         """(n_w,) how x moves with psi, s_0 and the context in the direction that a certificate took for them.
 
-        Zero where no certificate was asked for gradients by them, and with a barrier.
+        Zero where no certificate was asked for gradients by them, with a barrier, and for a quadratic program without
+        psi and context.
         """
         return c.read(self.structure.beside, self.sizes_of_parts[0])
 

@@ -150,6 +150,11 @@ static real slope_jump(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *functio
   return jump_of(slopes, n, whole);
 }
 
+/* Without psi and context, the conditions of a quadratic program are affine in x, multipliers and s_0 together. */
+static int is_affine(const kpirl_mpc_kkt *k) {
+  return k->rows->quadratic && k->dimensions.n_parameters + k->dimensions.n_context == 0;
+}
+
 real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
                                   const kpirl_mpc_triple *weights, const kpirl_mpc_by_parameters *by) {
   const int n_psi = k->dimensions.n_parameters, n_s = k->system.n_states, n_context = k->dimensions.n_context;
@@ -157,7 +162,7 @@ real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, 
   real *moves = k->work, *left = moves + n_psi + n_s + n_context, *right = left + n, *at = right + n, *work = at + n;
   real expected = 0, total = 0, sides[2], sizes, here, noise, whole, off, beside = 0;
   int i;
-  if (n_psi + n_context == 0 && !by->s0) return 0;
+  if (is_affine(k) || (n_psi + n_context == 0 && !by->s0)) return 0;
   find_moves(k, k->numbers.psi, n_psi, moves);
   find_moves(k, k->numbers.s0, n_s, moves + n_psi);
   find_moves(k, k->numbers.context, n_context, moves + n_psi + n_s);

@@ -19,6 +19,7 @@
 #ifdef VECTOR_BYTES
 enum { LANES = (int)(VECTOR_BYTES / sizeof(real)) }; /* at most 8: see few_rows */
 typedef real vector __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)), may_alias));
+typedef real half __attribute__((vector_size(VECTOR_BYTES / 2), aligned(sizeof(real)), may_alias));
 #define INLINE static inline __attribute__((always_inline))
 #ifdef __clang__
 #define UNROLL _Pragma("clang loop unroll(full)")
@@ -114,21 +115,25 @@ void kpirl_mpc_times_lower(const real *x, int rows, int inner, const real *y, re
 #undef PANELS
 }
 
+/* The sum of the entries: halves are added to each other, the first ones in registers. */
+INLINE real total(const vector v) {
+  real parts[LANES / 2];
+  int i, k;
+  *(half *)parts = ((const half *)&v)[0] + ((const half *)&v)[1];
+  UNROLL for (k = LANES / 4; k > 0; k /= 2) UNROLL for (i = 0; i < k; ++i) parts[i] += parts[i + k];
+  return parts[0];
+}
+
 /* Some columns times x, of which `last` is the end, with zeros where it overlaps the first `whole` entries. */
 INLINE void dots(const int columns, const real *a, int rows, const real *x, const vector last, int whole, real *y) {
   vector sum[4];
-  int c, i, k;
+  int c, i;
   UNROLL for (c = 0; c < columns; ++c) sum[c] = *(const vector *)(a + (c + 1) * rows - LANES) * last;
   for (i = 0; i < whole; i += LANES) {
     const vector part = *(const vector *)(x + i);
     UNROLL for (c = 0; c < columns; ++c) sum[c] += *(const vector *)(a + c * rows + i) * part;
   }
-  UNROLL for (c = 0; c < columns; ++c) {
-    real parts[LANES];
-    *(vector *)parts = sum[c];
-    UNROLL for (k = LANES / 2; k > 0; k /= 2) UNROLL for (i = 0; i < k; ++i) parts[i] += parts[i + k];
-    y[c] += parts[0];
-  }
+  UNROLL for (c = 0; c < columns; ++c) y[c] += total(sum[c]);
 }
 
 /* Fewer rows than a vector has. */

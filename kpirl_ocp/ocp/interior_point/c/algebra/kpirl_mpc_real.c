@@ -26,7 +26,7 @@ real kpirl_mpc_largest(const real *values, int count) {
     result = kpirl_mpc_larger(kpirl_mpc_abs(values[i]), result);
     if (isnan(values[i])) invalid = values[i];
   }
-  for (k = 0; k < LANES; ++k) {
+  for (k = 0; count >= LANES && k < LANES; ++k) {
     result = kpirl_mpc_larger(most[k], result);
     if (isnan(zero[k]) && result < (real)INFINITY) invalid = zero[k]; /* infinity times zero is NaN, too */
   }
