@@ -1,4 +1,7 @@
-"""The written results of commands and scripts: settings and versions beside the numbers, tables; Ctrl-C keeps them."""
+"""The written results of commands and scripts: settings and versions beside the numbers, tables; Ctrl-C keeps them.
+
+Child processes never hear Ctrl-C or SIGTERM, and this process loses neither while they start.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,19 @@ import json
 import platform
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
+from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.episodes import write_whole
+
+if TYPE_CHECKING:
+    import joblib
 
 _PACKAGES = ("kpirl-ocp", "casadi", "pin", "numpy", "scipy", "pybullet", "torch")
 _STOPS = (signal.SIGINT, signal.SIGTERM)
@@ -55,25 +62,61 @@ def said_if_interrupted(kept: Callable[[], str]) -> Iterator[None]:
 def deaf_children() -> Iterator[None]:
     """A block in which processes start that never hear Ctrl-C or SIGTERM: they are for this one, which kills them.
 
-    Ignoring is what they inherit, so that this process does not hear them either while they start.
+    They inherit the signal mask of the thread that starts them, as do threads that begin here. What is sent to this
+    process meanwhile acts at the end of the block, and not within it, where it would leave a pool half made.
     """
-    with signals_kept():
-        if threading.current_thread() is threading.main_thread():  # which alone may say so
-            for number in _STOPS:
-                signal.signal(number, signal.SIG_IGN)
+    with contextlib.ExitStack() as stack:
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+        stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
+        stack.enter_context(_signals_noted())
         yield
 
 
 @contextlib.contextmanager
-def signals_kept() -> Iterator[None]:
-    """A block after which Ctrl-C and SIGTERM do what they did before, whatever handles them within."""
-    before = {number: signal.getsignal(number) for number in _STOPS}
-    try:
+def deaf_pool() -> Iterator[None]:
+    """As `deaf_children`, for a pool, with whose first one Python starts a tracker of resources.
+
+    That unblocks both signals when it has started (until Python 3.13), so it does before.
+    """
+    from joblib.externals.loky.backend import resource_tracker as loky_tracker
+
+    for tracker in (resource_tracker, loky_tracker):
+        tracker.ensure_running()
+    with deaf_children():
         yield
-    finally:
-        if threading.current_thread() is threading.main_thread():
-            for number, handler in before.items():
-                signal.signal(number, handler)
+
+
+def results_of(parallel: joblib.Parallel, tasks: Iterable[Any]) -> Generator[Any, None, None]:
+    """Results of delayed tasks as they come, from deaf processes; what ends this generator stops them.
+
+    parallel: returns a generator.
+    """
+    with contextlib.ExitStack() as stack:
+        with deaf_pool():
+            running = stack.enter_context(contextlib.closing(parallel(tasks)))
+        yield from running
+
+
+@contextlib.contextmanager
+def _signals_noted() -> Iterator[None]:
+    """A block after which this thread is sent the signals that reached Python in it.
+
+    The mask of one thread does not keep them out: the system gives them to another, and Python's handlers run in the
+    main thread whichever it was.
+    """
+    noted: set[int] = set()
+    with contextlib.ExitStack() as stack:
+        stack.callback(_raise, noted)
+        for number in _STOPS if threading.current_thread() is threading.main_thread() else ():
+            if signal.getsignal(number) is not None:  # one of C, which Python could not put back
+                stack.callback(signal.signal, number, signal.signal(number, lambda came, _: noted.add(came)))
+        yield
+
+
+def _raise(numbers: Iterable[int]) -> None:
+    for number in numbers:
+        signal.raise_signal(number)
 
 
 def _version(package: str) -> str:

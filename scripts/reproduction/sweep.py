@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import inspect
 import logging
+import signal
 import socket
 import tempfile
 import warnings
@@ -30,7 +31,7 @@ from tqdm import tqdm
 import kpirl_ocp
 from kpirl_ocp.episodes import atomic_write, check_archive
 from kpirl_ocp.errors import DependencyError, FileError, ProblemError
-from kpirl_ocp.reporting import deaf_children, signals_kept
+from kpirl_ocp.reporting import deaf_pool, results_of
 
 Result = dict[str, Any]
 # What jobs are made of: workers elsewhere have the package installed, but not these, and are sent them.
@@ -135,8 +136,7 @@ def with_joblib(workers: int) -> Runner:
     parallel = joblib.Parallel(workers, return_as="generator_unordered")
 
     def run(jobs: Sequence[Job]) -> Running:
-        with deaf_children():
-            return parallel(joblib.delayed(_call)(job) for job in jobs)
+        return results_of(parallel, (joblib.delayed(_call)(job) for job in jobs))
 
     return run
 
@@ -148,7 +148,7 @@ def _dask(address: str | None, workers: int) -> Iterator[Runner]:
     with contextlib.ExitStack() as stack:
         stack.callback(logging.disable, logging.NOTSET)
         if address is None:
-            with deaf_children():
+            with deaf_pool():
                 cluster = LocalCluster(workers, threads_per_worker=1, dashboard_address=":0")  # any that is free
             client = stack.enter_context(Client(stack.enter_context(cluster)))
             client.run(logging.getLogger("distributed.worker.state_machine").setLevel, "ERROR")  # of cancelled jobs
@@ -167,8 +167,6 @@ def _ray(address: str | None, workers: int) -> Iterator[Runner]:
     import ray
 
     local = {} if address else {"num_cpus": workers, "include_dashboard": False}
-    with signals_kept():  # Ray's own handler of SIGTERM ends the process
-        ray.init(address=address or "local", runtime_env={"py_modules": [str(path) for path in SCRIPTS]}, **local)
 
     def run(jobs: Sequence[Job]) -> Running:
         task = ray.remote(_call)
@@ -178,9 +176,23 @@ def _ray(address: str | None, workers: int) -> Iterator[Runner]:
             yield ray.get(done)
 
     try:
+        with _handler_of_sigterm_kept():
+            ray.init(address=address or "local", runtime_env={"py_modules": [str(path) for path in SCRIPTS]}, **local)
         yield run
     finally:
         ray.shutdown()
+
+
+@contextlib.contextmanager
+def _handler_of_sigterm_kept() -> Iterator[None]:
+    """A block in which Ray begins, whose own handler ends the process without a word: here it is an interruption."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    except SystemExit:
+        raise KeyboardInterrupt from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def zip_scripts(path: Path) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -24,7 +25,7 @@ from kpirl_ocp.irl.learning.optimisers import Adam
 from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
-from kpirl_ocp.reporting import deaf_children
+from kpirl_ocp.reporting import deaf_pool
 from kpirl_ocp.types import Array, Demonstration
 
 TRUNCATION = 10  # steps that Truncated goes back
@@ -112,13 +113,12 @@ def relative_error(gradient: Array, exact: Array) -> float:
 def measure_all(source: str, steps: list[int], exact: Array) -> Iterator[Measurement]:
     """Measure every method on a problem (see `case_of`), each in a process of its own; exact: the reference."""
     for index in range(len(list(methods(case_of(source), steps)))):
-        pool = ProcessPoolExecutor(1)
-        try:
-            with deaf_children():
+        with ExitStack() as stack:
+            with deaf_pool():
+                pool = ProcessPoolExecutor(1)
+                stack.callback(pool.shutdown, kill_workers=True)
                 measured = pool.submit(_measure, source, steps, index, exact)
             yield measured.result()
-        finally:
-            pool.shutdown(kill_workers=True)
 
 
 def _measure(source: str, steps: list[int], index: int, exact: Array) -> Measurement:

@@ -6,6 +6,7 @@ It is started with the first call, serves one call at a time, and ends with this
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -15,6 +16,7 @@ from typing import IO, Any, cast
 from weakref import WeakKeyDictionary
 
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.reporting import deaf_children
 
 _MOST = 64  # problems that one process keeps
 # Without '', the working directory, which may hold sources of the package that are not the ones imported here.
@@ -60,14 +62,8 @@ class ChildProcess:
         if self._process is None or self._process.poll() is not None:
             self._known.clear()
             self._sent = 0
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", _PROGRAM],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},
-            )
-            to, back = (cast("IO[bytes]", pipe).fileno() for pipe in (self._process.stdin, self._process.stdout))
-            self._ends = Connection(os.dup(to), readable=False), Connection(os.dup(back), writable=False)
+            with deaf_children():
+                self._process, self._ends = _started()
         return self._ends
 
     def _number(self, problem: OCP) -> tuple[int, bool]:
@@ -87,8 +83,25 @@ class ChildProcess:
         self._process = None
 
 
+def _started() -> tuple[subprocess.Popen[bytes], tuple[Connection, Connection]]:
+    """A process that serves, and the ends for sending and receiving."""
+    path = os.pathsep.join(path or os.getcwd() for path in sys.path)
+    process = subprocess.Popen(
+        [sys.executable, "-c", _PROGRAM],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=os.environ | {"PYTHONPATH": path},
+    )
+    to, back = (cast("IO[bytes]", pipe).fileno() for pipe in (process.stdin, process.stdout))
+    return process, (Connection(os.dup(to), readable=False), Connection(os.dup(back), writable=False))
+
+
 def serve() -> None:
-    """Answer calls on the standard streams until they are closed."""
+    """Answer calls on the standard streams until they are closed.
+
+    SIGTERM ends it even in a solve without an end, should the process that would kill it be gone.
+    """
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
     receiving, sending = Connection(os.dup(0), writable=False), Connection(os.dup(1), readable=False)
     os.dup2(2, 1)  # whatever a solver prints
     problems: dict[int, OCP] = {}

@@ -7,6 +7,7 @@ it stopped.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from kpirl_ocp.episodes import episode_path, read_meta, write_meta
 from kpirl_ocp.errors import EpisodeError, ProblemError
 from kpirl_ocp.perception.data.motions import MOTIONS, ArmMotion, Motion
 from kpirl_ocp.perception.scene.camera import Camera
-from kpirl_ocp.reporting import deaf_children
+from kpirl_ocp.reporting import results_of
 
 
 def collect(directory: str | Path, motion: Motion, count: int, seed: int = 0, jobs: int = 1) -> Path:
@@ -38,10 +39,9 @@ def collect(directory: str | Path, motion: Motion, count: int, seed: int = 0, jo
     _agree(directory, count, describe(motion, seed))
     missing = [i for i in range(count) if not episode_path(directory, i).exists()]
     tasks = (joblib.delayed(_record)(directory, motion, seed, index) for index in missing)
-    with deaf_children():
-        written = joblib.Parallel(jobs, return_as="generator_unordered")(tasks)
-    for _ in tqdm(written, directory.name, len(missing), unit="episode"):
-        pass
+    with closing(results_of(joblib.Parallel(jobs, return_as="generator_unordered"), tasks)) as written:
+        for _ in tqdm(written, directory.name, len(missing), unit="episode"):
+            pass
     return directory
 
 
