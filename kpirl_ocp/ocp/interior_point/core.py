@@ -70,14 +70,16 @@ class Core:
         self._others.move_to_end(make)
         return cast("T", self._others[make])
 
-    def function(self, build: Build) -> int:
+    def function(self, build: Build, uses: int = 1) -> int:
         """The address of a C function pointer to `build(problem)`, which works in memory of this core.
 
         It is called with structures of pointers to its arguments and to its results, in their order.
+
+        uses: of the function that are to come; machine code is worth making after many.
         """
         pointer = self.kept(pointer_to(build))
         if not pointer.compiled:
-            pointer.uses += 1
+            pointer.uses += uses
             evaluations = _EVALUATIONS * self.problem.horizon * pointer.uses
             code = prepare_function(self.problem, build, self._wish, evaluations)
             if code is not None:

@@ -75,7 +75,7 @@ class Compiled:
 class Pointer:
     """A C function pointer to a function of a problem, called with its arguments and results in their order.
 
-    uses: how often it was asked for.
+    uses: by those who asked for it.
     """
 
     def __init__(self, function: ca.Function) -> None:

@@ -41,7 +41,8 @@ def pull_each(problem: OCP, given: Sequence[tuple[Solution, Array, Array]], poli
     with borrow_core(problem) as core:
         at = core.kept(Workspace)
         at.leave()
-        addresses = at.here.address, at.nearby.address, core.address, core.function(parameter_derivatives.pull)
+        function = core.function(parameter_derivatives.pull, uses=len(pulls))
+        addresses = at.here.address, at.nearby.address, core.address, function
         ends = ctypes.addressof(questions), ctypes.addressof(answers)
         core.library.kpirl_mpc_certify_each(*addresses, len(pulls), *ends)
     return [pull.gradients(answer, policy) for pull, answer in zip(pulls, answers, strict=True)]
