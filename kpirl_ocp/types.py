@@ -29,6 +29,8 @@ def largest(values: Array) -> float:
 
 def floats(name: str, value: ArrayLike) -> Array:
     """A value as an array of floating-point numbers, whatever their type. Raises ProblemError for what has none."""
+    if isinstance(value, np.ndarray) and value.dtype == float:
+        return value
     try:
         array = np.asarray(value)
     except ValueError:
@@ -164,7 +166,9 @@ class Multipliers(Brief):
         shapes = {"path_equality": (*np.shape(self.dynamics)[:1], 0), "terminal": (0,), "terminal_equality": (0,)}
         for name, value in vars(self).items():
             none = value is None and name in shapes
-            object.__setattr__(self, name, np.zeros(shapes[name]) if none else floats(f"multipliers.{name}", value))
+            array = np.zeros(shapes[name]) if none else floats(f"multipliers.{name}", value)
+            if array is not value:
+                object.__setattr__(self, name, array)
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,21 @@
 """Many solves and gradients at once: the numbers of single ones, whatever the number of threads."""
 
 import os
+import signal
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from problems import TABLE
 
-from kpirl_ocp import LBFGS, Implicit, Ipopt, Riccati, Status, learn
+from kpirl_ocp import LBFGS, Implicit, Ipopt, Riccati, Status, Trajectory, learn
 from kpirl_ocp.errors import CertificateError, ProblemError
 from kpirl_ocp.irl.hypergradients import implicit
 from kpirl_ocp.ocp.sensitivity import sensitivity
 from kpirl_ocp.ocp.solvers import pull_many, solve_many
+from kpirl_ocp.ocp.solvers.many import side_by_side
 
 CASE = TABLE["integrator"]()
 STARTS = CASE.demonstration.s0 + np.linspace(-0.2, 0.2, 12)[:, None] * [1.0, 0.0]
@@ -96,8 +99,69 @@ def test_many_gradients_need_slopes_for_every_solution_and_certificates():
     with pytest.raises(ProblemError, match="pull_many needs as many of everything"):
         pull_many(problem, solutions[:1], *slopes)
     short = Riccati(max_iterations=1).solve(problem, STARTS[0], CASE.psi, CASE.demonstration.context)
-    with pytest.raises(CertificateError, match="did not converge"):
-        pull_many(problem, [short, solutions[1]], *slopes)
+    with pytest.raises(CertificateError, match="gradient 1 is NOT certified: The solver did not converge"):
+        pull_many(problem, [solutions[1], short], *slopes)
+
+
+def test_a_solution_of_another_problem_is_named():
+    problem, found = CASE.problem, solve_many(CASE.problem, STARTS, CASE.psi, CASE.demonstration.context)
+    slopes = [np.ones((len(found), *getattr(found[0], name).shape)) for name in ("states", "actions")]
+    wrong = replace(found[10], trajectory=Trajectory(found[10].states[:-1], found[10].actions))
+    for threads in (1, 2):
+        with pytest.raises(ProblemError, match=r"^solution 10's states must be \(\d+, 2\), got"):
+            pull_many(problem, [*found[:10], wrong, found[11]], *slopes, threads=threads)
+
+
+OTHER_SHAPES = [
+    lambda x: x[:, :-1],
+    lambda x: x[..., None],
+    lambda x: x[:, :, :0],
+    lambda x: x[0],
+    np.ravel,
+    lambda x: 0.0,
+]
+
+
+def test_slopes_of_another_shape_are_refused():
+    problem, found = CASE.problem, solve_many(CASE.problem, STARTS[:2], CASE.psi, CASE.demonstration.context)
+    slopes = {f"by_{name}": np.ones((2, *getattr(found[0], name).shape)) for name in ("states", "actions")}
+    for name, wrong in ((name, change(slope)) for name, slope in slopes.items() for change in OTHER_SHAPES):
+        with pytest.raises(ProblemError, match=r"must be|as many"):
+            pull_many(problem, found, **slopes | {name: wrong})
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_the_first_error_ends_the_work_in_the_order_of_the_arguments(threads):
+    begun = []
+
+    def fail(number):
+        begun.append(number)
+        if number >= 5:
+            raise ValueError(number)
+        return number
+
+    with pytest.raises(ValueError, match="5"):
+        side_by_side(fail, range(1000), threads=threads)
+    assert set(range(6)) <= set(begun)
+    assert len(begun) <= 6 + threads
+    assert side_by_side(fail, range(5), threads=threads) == list(range(5))
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_ctrl_c_ends_many_solves_after_those_that_are_under_way(threads):
+    begun, two = [], threading.Barrier(threads, timeout=60)
+
+    def solve(number):
+        begun.append(number)
+        if number < threads:
+            two.wait()
+        if threading.current_thread() is threading.main_thread():
+            signal.raise_signal(signal.SIGINT)
+        time.sleep(0.01)
+
+    with pytest.raises(KeyboardInterrupt):
+        side_by_side(solve, range(1000), threads=threads)
+    assert len(begun) < 100
 
 
 @pytest.mark.parametrize("solver", [Riccati(), Ipopt()])
@@ -111,14 +175,14 @@ def test_an_implicit_gradient_of_several_demonstrations_is_that_of_each(solver):
 
 
 def test_learning_from_several_demonstrations_evaluates_them_side_by_side(monkeypatch):
-    threads, differentiate = set(), implicit.differentiate
+    two, differentiate = threading.Barrier(2, timeout=60), implicit.differentiate
 
     def watched(*arguments):
-        threads.add(threading.get_ident())
+        two.wait()  # for another thread
         return differentiate(*arguments)
 
     monkeypatch.setattr(implicit, "differentiate", watched)
-    monkeypatch.setattr(os, "cpu_count", lambda: 4)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
     demonstrations = [replace(CASE.demonstration, s0=start) for start in STARTS]
     learn(CASE.problem, demonstrations, CASE.psi, Implicit(policy="flag"), LBFGS(), 1)
-    assert threading.get_ident() not in threads
+    assert not two.broken

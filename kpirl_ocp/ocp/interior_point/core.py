@@ -16,11 +16,11 @@ from kpirl_ocp.ocp.codegen.numpy_calls import Build
 from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachine, pointer_to
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare, prepare_function
-from kpirl_ocp.ocp.interior_point.results import Results
+from kpirl_ocp.ocp.interior_point.results import RESULT, solution_rows
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
 from kpirl_ocp.ocp.problem.layout import by_stage, check_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Given, Guess, StageDerivatives, StageValues, check_guess
+from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, StageValues, check_guess
 from kpirl_ocp.types import Array, Solution
 
 _OTHERS = 32  # things that a core keeps besides its functions
@@ -45,7 +45,6 @@ class Core:
         self._core = self._library.kpirl_mpc_core_init(*given, ctypes.c_void_p(self._memory.ctypes.data))
         self._n_w = self._library.kpirl_mpc_n_point(self._core)
         self._schedule = np.ascontiguousarray(problem.schedule, float)
-        self._results = Results(problem, self._n_w)
         self._view = c.View()
         self._wish: Compile = "auto"
         self._evaluations = 0
@@ -86,25 +85,36 @@ class Core:
                 pointer.take(code)
         return pointer.address
 
-    def solve(self, options: Any, wish: Compile, given: Sequence[Given]) -> list[Solution]:
-        """Solve for each of several numbers with settings `library.Options`; the GIL is released meanwhile."""
+    def solve(
+        self, options: Any, wish: Compile, s0: Array, psi: Array, context: Array, guesses: Sequence[Guess]
+    ) -> list[Solution]:
+        """Solve for each of several numbers with settings `library.Options`; the GIL is released meanwhile.
+
+        Args:
+            options: settings.
+            wish: for machine code.
+            s0: (B, n_s). psi: (B, n_psi). context: (B, n_c).
+            guesses: B of them.
+        """
+        self._use(wish)
+        layout, count = solution_rows(self.problem), len(s0)
+        kept = [np.ascontiguousarray(array, float) for array in (s0, psi, context)]
+        begun = [[np.require(array, float, ("C", "A")) for array in self._start(guess)] for guess in guesses]
+        numbers = c.Numbers(*map(c.address_of, kept), c.address_of(self._schedule))
+        starts = (c.Start * count)(*(c.Start(*map(c.address_of, start)) for start in begun)) if any(begun) else None
+        found, results = layout.empty(count), np.empty(count, RESULT)
+        at = ctypes.addressof(numbers), ctypes.addressof(options), None if starts is None else ctypes.addressof(starts)
+        self._library.kpirl_mpc_solve_each(self._core, count, *at, c.address_of(found), c.address_of(results))
+        self._evaluations += 2 * int(np.sum(results["iterations"] + 1)) * self.problem.horizon
+        return layout.solutions(psi, context, found, results, options.barrier)
+
+    def _use(self, wish: Compile) -> None:
+        """The machine code that there is by now, or none, as is wished."""
         self._wish, code = wish, prepare(self.problem, wish, self._evaluations)
         if code is not self._code:
             self._code = code
             self._model = self._make_model()
             self._library.kpirl_mpc_core_set_model(self._core, ctypes.addressof(self._model))
-        kept = [[np.ascontiguousarray(array, float) for array in each] for *each, _ in given]
-        begun = [[np.require(array, float, ("C", "A")) for array in self._start(guess)] for *_, guess in given]
-        found = [self._results.empty() for _ in given]
-        schedule = c.address_of(self._schedule)
-        numbers = _array(c.Numbers, [(*map(c.address_of, each), schedule) for each in kept])
-        starts = _array(c.Start, [tuple(map(c.address_of, start)) for start in begun])
-        results = _array(c.Result, [self._results.places(values) for values in found])
-        arrays = map(ctypes.addressof, (numbers, options, starts, results))
-        self._library.kpirl_mpc_solve_each(self._core, len(given), *arrays)
-        self._evaluations += sum(2 * (result.iterations + 1) * self.problem.horizon for result in results)
-        read = zip(given, found, results, strict=True)
-        return [self._results.solution(*each, options.barrier) for each in read]
 
     def derivatives(self) -> StageDerivatives | None:
         """At the last solution; None if the solve ended without them."""
@@ -210,11 +220,6 @@ class Core:
             arrays += [m.dynamics, by_stage(m.state, m.action)]
             arrays += [np.concatenate([path.ravel(), last]) for path, last in rows]
         return arrays
-
-
-def _array(kind: type[ctypes.Structure], members: Sequence[tuple[Any, ...]]) -> Any:
-    """An array of structures."""
-    return (kind * len(members))(*(kind(*each) for each in members))
 
 
 def dimensions_of(problem: OCP) -> Any:

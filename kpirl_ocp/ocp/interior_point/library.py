@@ -86,14 +86,7 @@ View = _structure(
     matrices=INT,
 )
 Residuals = _structure("Residuals", stationarity=REAL, feasibility=REAL, complementarity=REAL, scale=REAL)
-Result = _structure(
-    "Result",
-    **dict.fromkeys(("x", "costates", "bounds", "path", "equality"), POINTER),
-    residuals=Residuals,
-    objective=REAL,
-    iterations=INT,
-    status=INT,
-)
+Result = _structure("Result", residuals=Residuals, objective=REAL, iterations=INT, status=INT)
 Iteration = _structure(
     "Iteration",
     iteration=INT,
@@ -183,8 +176,8 @@ SolutionArrays = _structure(
     **dict.fromkeys(("path", "terminal", "equality", "terminal_equality"), POINTER),
 )
 ByParameters = _structure("ByParameters", psi=POINTER, s0=POINTER, context=POINTER)
-Question = _structure("Question", numbers=Numbers, solution=SolutionArrays, slope=POINTER, barrier=REAL)
-Answer = _structure("Answer", gradients=ByParameters, evidence=Evidence, active=POINTER, finite=INT)
+Questions = _structure("Questions", numbers=Numbers, solutions=POINTER, slopes=POINTER, barriers=POINTER)
+Answers = _structure("Answers", gradients=ByParameters, evidence=POINTER, active=POINTER, finite=POINTER)
 _OF_SYSTEMS = {
     "rows_times": 3,
     "rows_push": 3,
@@ -251,7 +244,7 @@ def _layout() -> int:
     """The sizes of all structures that cross over."""
     crossing = (Dimensions, Model, Bounds, Numbers, Options, Start, View, Residuals, Iteration)
     functions, systems = (Buffered, CompiledFunction), (System, Triple, Rows, KKT)
-    kinds = (*crossing, *functions, *systems, Evidence, ByParameters, SolutionArrays, Result, Question, Answer)
+    kinds = (*crossing, *functions, *systems, Evidence, ByParameters, SolutionArrays, Result, Questions, Answers)
     return sum((i + 1) * ctypes.sizeof(kind) for i, kind in enumerate(kinds))
 
 
@@ -283,7 +276,7 @@ def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
     core.kpirl_mpc_core_init.restype = POINTER
     for name in ("n_point", "n_inequalities", "n_equalities"):
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER]
-    core.kpirl_mpc_solve_each.argtypes = [POINTER, INT, *[POINTER] * 4]
+    core.kpirl_mpc_solve_each.argtypes = [POINTER, INT, *[POINTER] * 5]
     core.kpirl_mpc_solve_each.restype = None
     core.kpirl_mpc_core_set_model.argtypes = [POINTER] * 2
     core.kpirl_mpc_core_evaluate_at.argtypes = [POINTER, POINTER, POINTER, INT]

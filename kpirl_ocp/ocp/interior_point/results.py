@@ -1,16 +1,17 @@
-"""Results of the C code as solutions."""
+"""Solutions side by side, as the C code writes and reads them, and the records that are made of them."""
 
 from __future__ import annotations
 
+from functools import lru_cache, partial
 from itertools import accumulate, pairwise
+from math import prod
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import kpirl_ocp.ocp.interior_point.library as c
-from kpirl_ocp.ocp.problem.layout import split
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Given
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 STATUS = {
@@ -25,55 +26,76 @@ STATUS = {
     11: Status.ACCEPTABLE,
 }
 """Values of the C enum kpirl_mpc_status that a solve ends with."""
+RESULT = np.dtype(c.Result)
 
 
-class Results:
-    """One array per solve: x, costates, multipliers of bounds, of h and g_T, and of e and e_T."""
+class SolutionRows:
+    """B solutions as an array (B, n): a row holds the arrays of one, in the order of `shapes`, one behind the other.
 
-    def __init__(self, problem: OCP, n_w: int) -> None:
-        """n_w: length of x."""
-        T = problem.horizon
-        rows = T * problem.n_path + problem.n_terminal, T * problem.n_path_equality + problem.n_terminal_equality
-        self._problem, self._given = problem, np.flatnonzero(~problem.free_start)
-        self._ends = list(accumulate((0, n_w, T * problem.n_states, n_w, *rows)))
+    shapes: of the arrays of a solution, by name.
+    """
 
-    def empty(self) -> Array:
-        """An array to be filled."""
-        return np.empty(self._ends[-1])
+    def __init__(self, problem: OCP) -> None:
+        T, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
+        n_h, n_e = problem.n_path, problem.n_path_equality
+        self.shapes: dict[str, tuple[int, ...]] = {
+            "states": (T + 1, n_s),
+            "actions": (T, n_u),
+            "multipliers.dynamics": (T, n_s),
+            "multipliers.state": (T + 1, n_s),
+            "multipliers.action": (T, n_u),
+            "multipliers.path": (T, n_h),
+            "multipliers.terminal": (problem.n_terminal,),
+            "multipliers.path_equality": (T, n_e),
+            "multipliers.terminal_equality": (problem.n_terminal_equality,),
+        }
+        self._ends = list(accumulate(map(prod, self.shapes.values()), initial=0))
+        self._given = np.flatnonzero(~problem.free_start)
 
-    def places(self, values: Array) -> tuple[int, ...]:
-        """Addresses of the parts, the first members of `kpirl_mpc_result`."""
-        at = c.address_of(values)
-        return tuple(at + values.itemsize * begin for begin in self._ends[:-1])
+    def empty(self, count: int) -> Array:
+        """To be filled."""
+        return np.empty((count, self._ends[-1]))
 
-    def solution(self, given: Given, values: Array, result: Any, barrier: float) -> Solution:
-        """Of one solve; it shows parts of `values`."""
-        (_, psi, context, _), r = given, result.residuals
-        x, *multipliers = (values[a:b] for a, b in pairwise(self._ends))
-        problem = self._problem
-        return Solution(
-            psi=psi,
-            context=context,
-            trajectory=Trajectory(*split(x, problem.horizon, problem.n_states, problem.n_actions)),
-            multipliers=self._multipliers(*multipliers),
-            objective=result.objective,
-            residuals=KKTResiduals(r.stationarity, r.feasibility, r.complementarity, 0.0, r.scale),
-            status=STATUS[result.status],
-            iterations=result.iterations,
-            barrier=barrier,
-        )
+    def parts(self, rows: Array) -> list[Array]:
+        """The arrays (B, ..) of all solutions, which show `rows`."""
+        spans = zip(pairwise(self._ends), self.shapes.values(), strict=True)
+        return [rows[:, a:b].reshape(len(rows), *shape) for (a, b), shape in spans]
 
-    def _multipliers(self, costates: Array, bounds: Array, path: Array, equality: Array) -> Multipliers:
-        problem = self._problem
-        T, n_s, n_h, n_e = problem.horizon, problem.n_states, problem.n_path, problem.n_path_equality
-        state, action = split(bounds, T, n_s, problem.n_actions)
-        state[0, self._given] = 0
-        return Multipliers(
-            dynamics=costates.reshape(T, n_s),
-            state=state,
-            action=action,
-            path=path[: T * n_h].reshape(T, n_h),
-            path_equality=equality[: T * n_e].reshape(T, n_e),
-            terminal=path[T * n_h :],
-            terminal_equality=equality[T * n_e :],
-        )
+    def solutions(
+        self, psi: Array, context: Array, rows: Array, results: NDArray[Any], barrier: float
+    ) -> list[Solution]:
+        """Records, whose arrays show `rows`.
+
+        Args:
+            psi: (B, n_psi) that they were found for.
+            context: (B, n_c).
+            rows: (B, n), whose multipliers of given initial states become zero.
+            results: B structures `kpirl_mpc_result`.
+            barrier: of all.
+        """
+        parts = self.parts(rows)
+        parts[3][:, 0, self._given] = 0
+        return list(map(partial(_solution, barrier), psi, context, results.tolist(), *parts))
+
+
+def _solution(barrier: float, psi: Array, context: Array, result: tuple[Any, ...], *parts: Array) -> Solution:
+    """The record of one solution."""
+    (stationarity, feasibility, complementarity, scale), objective, iterations, status = result
+    states, actions, dynamics, state, action, path, terminal, path_equality, terminal_equality = parts
+    return Solution(
+        psi=psi,
+        context=context,
+        trajectory=Trajectory(states, actions),
+        multipliers=Multipliers(dynamics, state, action, path, path_equality, terminal, terminal_equality),
+        objective=objective,
+        residuals=KKTResiduals(stationarity, feasibility, complementarity, 0.0, scale),
+        status=STATUS[status],
+        iterations=iterations,
+        barrier=barrier,
+    )
+
+
+@lru_cache(maxsize=64)
+def solution_rows(problem: OCP) -> SolutionRows:
+    """The layout of a problem's solutions."""
+    return SolutionRows(problem)

@@ -119,11 +119,11 @@ def lengths(problem: OCP) -> tuple[int, int, int]:
 
 
 def by_stage(states: Array, actions: Array) -> Array:
-    """(s_0, u_0, s_1, .., u_{T-1}, s_T) of states (T+1, n_s) and actions (T, n_u)."""
-    (T, n_u), n_s = actions.shape, states.shape[1]
-    x = np.empty(T * (n_s + n_u) + n_s)
-    stages = x[: T * (n_s + n_u)].reshape(T, n_s + n_u)
-    stages[:, :n_s], stages[:, n_s:], x[T * (n_s + n_u) :] = states[:-1], actions, states[-1]
+    """(s_0, u_0, s_1, .., u_{T-1}, s_T) of states (.., T+1, n_s) and actions (.., T, n_u), by their last axes."""
+    (*many, T, n_u), n_s = actions.shape, states.shape[-1]
+    x = np.empty((*many, T * (n_s + n_u) + n_s))
+    stages = x[..., : T * (n_s + n_u)].reshape(*many, T, n_s + n_u)
+    stages[..., :n_s], stages[..., n_s:], x[..., T * (n_s + n_u) :] = states[..., :-1, :], actions, states[..., -1, :]
     return x
 
 

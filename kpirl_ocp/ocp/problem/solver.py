@@ -15,8 +15,6 @@ from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.types import Array, Solution, Trajectory
 
 Guess = Solution | Trajectory | None
-Given = tuple[Array, Array, Array, Guess]
-"""s0 (n_s,), psi (n_psi,), the context (n_c,) and a guess, for one solve."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +75,10 @@ class BarrierSolver(Solver, Protocol):
 class BatchSolver(Solver, Protocol):
     """A solver that solves several in one call, in which other threads may run."""
 
-    def solve_each(self, problem: OCP, given: Sequence[Given]) -> list[Solution]:
-        """`solve` for each of several numbers, which fit the problem: those of `OCP.inputs`."""
+    def solve_each(
+        self, problem: OCP, s0: Array, psi: Array, context: Array, guesses: Sequence[Guess]
+    ) -> list[Solution]:
+        """`solve` for each row of s0 (B, n_s), psi (B, n_psi) and context (B, n_c), and each of B guesses."""
         ...
 
 

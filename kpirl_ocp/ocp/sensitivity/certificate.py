@@ -205,10 +205,10 @@ def check_policy(policy: str, allowed: tuple[str, ...]) -> None:
         raise ProblemError(f"policy must be one of {', '.join(allowed)}; got {policy!r}.")
 
 
-def require(policy: str, certificate: Certificate) -> None:
+def require(policy: str, certificate: Certificate, of: str = "the gradient") -> None:
     """Raise CertificateError if a gradient is not certified and the policy is not "flag"."""
     if not certificate.certified and policy != "flag":
-        raise CertificateError(f"the gradient is {certificate} (policy='flag' returns it all the same.)", certificate)
+        raise CertificateError(f"{of} is {certificate} (policy='flag' returns it all the same.)", certificate)
 
 
 def _not_converged(solution: Solution) -> str:

@@ -34,9 +34,9 @@ class ByParameters(NamedTuple):
     context: Array
 
     @classmethod
-    def empty(cls, problem: OCP) -> ByParameters:
-        """Arrays to be filled."""
-        return cls(*(np.empty(size) for size in (problem.n_parameters, problem.n_states, problem.n_context)))
+    def empty(cls, problem: OCP, *count: int) -> ByParameters:
+        """Arrays to be filled, for one or for a count of functions: (count, n_psi), .. ."""
+        return cls(*(np.empty((*count, size)) for size in (problem.n_parameters, problem.n_states, problem.n_context)))
 
     @property
     def structure(self) -> Any:

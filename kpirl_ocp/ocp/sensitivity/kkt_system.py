@@ -154,7 +154,7 @@ class KKTSystem:
 
         Derivatives that are not known are found by a core.
         """
-        kept = solution_arrays(solution)
+        kept = solution_arrays(self.instance.problem, solution)
         arrays = structure_of(kept)
         known = None
         if derivatives is not None:
@@ -272,7 +272,7 @@ def _view_of(derivatives: StageDerivatives) -> tuple[Any, list[Array]]:
 
 def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
     """The point of a solution."""
-    system, kept = KKTSystem(instance), solution_arrays(solution)
+    system, kept = KKTSystem(instance), solution_arrays(instance.problem, solution)
     arrays = structure_of(kept)
     c.library().kpirl_mpc_kkt_stand(system.address, ctypes.addressof(arrays))
     return system.point

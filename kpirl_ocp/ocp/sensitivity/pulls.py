@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -13,66 +12,65 @@ from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.sensitivity.certificate import Policy, judged
-from kpirl_ocp.ocp.sensitivity.evidence import fields_of
+from kpirl_ocp.ocp.sensitivity.certificate import judged
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance
 from kpirl_ocp.ocp.sensitivity.rows import rows_of
-from kpirl_ocp.ocp.sensitivity.solution_arrays import check_solution, solution_arrays, structure_of
+from kpirl_ocp.ocp.sensitivity.solution_arrays import as_rows
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import Gradients, Workspace
 from kpirl_ocp.types import Array, Solution
 
+_EVIDENCE = np.dtype(c.Evidence)
 
-def pull_each(problem: OCP, given: Sequence[tuple[Solution, Array, Array]], policy: Policy) -> list[Gradients]:
-    """`Sensitivity.pull` for several solutions of a problem, each with the slopes of a function.
+
+class _Answers:
+    """Findings of the C code about B gradients, one row each.
+
+    by_parameters: (B, n_psi), (B, n_s), (B, n_c). evidence: (B,) structures. active: (B, n_rows) and finite (B,): zero
+        for no. Without finite derivatives and slopes there are no numbers in the first two.
+    """
+
+    def __init__(self, problem: OCP, count: int) -> None:
+        self.by_parameters, self.evidence = ByParameters.empty(problem, count), np.empty(count, _EVIDENCE)
+        self.active, self.finite = np.empty((count, len(rows_of(problem).inequality))), np.empty(count, np.intc)
+        own = map(c.address_of, (self.evidence, self.active, self.finite))
+        self.structure = c.Answers(self.by_parameters.structure, *own)
+
+
+def pull_each(problem: OCP, solutions: Sequence[Solution], by_states: Array, by_actions: Array) -> list[Gradients]:
+    """`Sensitivity.pull` for B solutions of a problem, each with the slopes of a function; certificates flag.
 
     Args:
         problem: that was solved.
-        given: a solution, dL/dS (T+1, n_s) and dL/dU (T, n_u), for each.
-        policy: "raise" or "flag", as in `sensitivity`.
-
-    Raises:
-        CertificateError: under the policy "raise", for the first that is not certified.
-        ProblemError: shapes that do not fit the problem.
+        solutions: that fit it, see `check_solution`.
+        by_states: dL/dS of each (B, T+1, n_s).
+        by_actions: dL/dU of each (B, T, n_u).
     """
-    pulls = [_Pull(problem, *each) for each in given]
-    questions = (c.Question * len(pulls))(*(pull.question for pull in pulls))
-    answers = (c.Answer * len(pulls))(*(pull.answer for pull in pulls))
+    slopes, rows = by_stage(by_states, by_actions), as_rows(problem, solutions)
+    psi, context = (np.array([getattr(each, name) for each in solutions]) for name in ("psi", "context"))
+    schedule, barriers = np.ascontiguousarray(problem.schedule, float), np.array([each.barrier for each in solutions])
+    numbers = c.Numbers(None, *map(c.address_of, (psi, context, schedule)))
+    questions, answers = (
+        c.Questions(numbers, *map(c.address_of, (rows, slopes, barriers))),
+        _Answers(problem, len(rows)),
+    )
     with borrow_core(problem) as core:
         at = core.kept(Workspace)
         at.leave()
-        function = core.function(parameter_derivatives.pull, uses=len(pulls))
+        function = core.function(parameter_derivatives.pull, uses=len(rows))
         addresses = at.here.address, at.nearby.address, core.address, function
-        ends = ctypes.addressof(questions), ctypes.addressof(answers)
-        core.library.kpirl_mpc_certify_each(*addresses, len(pulls), *ends)
-    return [pull.gradients(answer, policy) for pull, answer in zip(pulls, answers, strict=True)]
+        ends = ctypes.addressof(questions), ctypes.addressof(answers.structure)
+        core.library.kpirl_mpc_certify_each(*addresses, len(rows), *ends)
+    return _gradients(problem, solutions, slopes, answers)
 
 
-class _Pull:
-    """The arrays of one gradient, and the structures that show them to the C code."""
-
-    def __init__(self, problem: OCP, solution: Solution, by_states: Array, by_actions: Array) -> None:
-        check_solution(problem, solution)
-        self._problem, self._solution = problem, solution
-        self._slope = by_stage(problem.as_states(by_states), problem.as_actions(by_actions))
-        self._numbers, self._arrays = Instance.of(problem, solution).numbers, solution_arrays(solution)
-        self._found, self._active = ByParameters.empty(problem), np.empty(len(rows_of(problem).inequality))
-
-    @property
-    def question(self) -> Any:
-        """`kpirl_mpc_question`."""
-        numbers = c.Numbers(*map(c.address_of, self._numbers))
-        return c.Question(numbers, structure_of(self._arrays), c.address_of(self._slope), self._solution.barrier)
-
-    @property
-    def answer(self) -> Any:
-        """`kpirl_mpc_answer`, to be filled."""
-        return c.Answer(gradients=self._found.structure, active=c.address_of(self._active))
-
-    def gradients(self, answer: Any, policy: Policy) -> Gradients:
-        """With the evidence that was found. Raises CertificateError as `pull_each` does."""
-        evidence = fields_of(answer.evidence) if answer.finite else None
-        certificate = judged(policy, self._problem, self._solution, self._active != 0, evidence)
-        if evidence is None:
-            return Gradients.undefined(self._problem, certificate)
-        return Gradients.of_plan(self._problem, self._slope, self._found, certificate)
+def _gradients(problem: OCP, solutions: Sequence[Solution], slopes: Array, answers: _Answers) -> list[Gradients]:
+    """Records of what was found, whose arrays show it."""
+    psi, s0, context = answers.by_parameters
+    s0 += slopes[:, : problem.n_states]
+    s0[:, problem.free_start] = 0
+    for by in (psi, s0, context):
+        by[answers.finite == 0] = np.nan
+    measured = [dict(zip(_EVIDENCE.names or (), row, strict=True)) for row in answers.evidence.tolist()]
+    pairs = zip(solutions, answers.active != 0, measured, answers.finite, strict=True)
+    certificates = [judged("flag", problem, one, active, found if ok else None) for one, active, found, ok in pairs]
+    return list(map(Gradients, psi, s0, context, certificates))

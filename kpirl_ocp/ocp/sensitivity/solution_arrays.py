@@ -1,37 +1,52 @@
-"""The arrays of a solution as the C code is given them."""
+"""The arrays of solutions as the C code is given them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.interior_point import library as c
-from kpirl_ocp.ocp.problem.layout import check_multipliers
+from kpirl_ocp.ocp.interior_point.results import solution_rows
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Solution, floats
 
 
-def check_solution(problem: OCP, solution: Solution) -> None:
+def check_solution(problem: OCP, solution: Solution, name: str = "the solution") -> None:
     """Raise ProblemError when the arrays of a solution do not fit the problem."""
-    steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
-    shapes = {"states": (steps + 1, n_s), "actions": (steps, n_u)}
-    for name, shape in shapes.items():
-        given = floats(f"the solution's {name}", getattr(solution, name)).shape
+    arrays, shapes = _arrays(problem)
+    for (part, shape), array in zip(shapes.items(), (*arrays(solution), solution.psi, solution.context), strict=True):
+        given = floats(f"{name}'s {part}", array).shape
         if given != shape:
-            raise ProblemError(f"the solution's {name} must be {shape}, got {given}: it is of another problem.")
-    check_multipliers(problem, solution.multipliers, "solution")
+            raise ProblemError(f"{name}'s {part} must be {shape}, got {given}: it is of another problem.")
 
 
-def solution_arrays(solution: Solution) -> list[Array]:
+def solution_arrays(problem: OCP, solution: Solution) -> list[Array]:
     """Those that the structure `kpirl_mpc_solution` shows, in its order."""
-    m = solution.multipliers
-    parts = [solution.states, solution.actions, m.dynamics, m.state, m.action]
-    parts += [m.path, m.terminal, m.path_equality, m.terminal_equality]
-    return [np.ascontiguousarray(part, float) for part in parts]
+    arrays, _ = _arrays(problem)
+    return [np.ascontiguousarray(part, float) for part in arrays(solution)]
 
 
 def structure_of(arrays: list[Array]) -> Any:
     """`kpirl_mpc_solution`. It does not keep the arrays."""
     return c.SolutionArrays(*map(c.address_of, arrays))
+
+
+def as_rows(problem: OCP, solutions: Sequence[Solution]) -> Array:
+    """Solutions that fit a problem as rows (B, n), see `SolutionRows`."""
+    layout, (arrays, _) = solution_rows(problem), _arrays(problem)
+    rows = layout.empty(len(solutions))
+    for part, found in zip(layout.parts(rows), zip(*map(arrays, solutions), strict=True), strict=True):
+        part[...] = found
+    return rows
+
+
+@lru_cache(maxsize=64)
+def _arrays(problem: OCP) -> tuple[attrgetter[tuple[Array, ...]], dict[str, tuple[int, ...]]]:
+    """Solution -> its arrays in the order of a row; and the shapes of these, of psi and of the context, by name."""
+    shapes = solution_rows(problem).shapes
+    return attrgetter(*shapes), shapes | {"psi": (problem.n_parameters,), "context": (problem.n_context,)}

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from itertools import chain
+from operator import itemgetter
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,14 +17,14 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import BatchSolver, Given, Guess, Solver
-from kpirl_ocp.ocp.sensitivity.certificate import Policy, check_policy
+from kpirl_ocp.ocp.problem.solver import BatchSolver, Guess, Solver
+from kpirl_ocp.ocp.sensitivity.certificate import Policy, check_policy, require
 from kpirl_ocp.ocp.sensitivity.pulls import pull_each
+from kpirl_ocp.ocp.sensitivity.solution_arrays import check_solution
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import Gradients
 from kpirl_ocp.ocp.solvers.riccati import Riccati
-from kpirl_ocp.types import Array, Solution
+from kpirl_ocp.types import Array, Solution, floats
 
-Q = TypeVar("Q")
 R = TypeVar("R")
 _GROUP = 8  # solves of one call into C, during which an interrupt has to wait
 
@@ -60,10 +63,14 @@ def solve_many(
     if len(set(counts.values())) > 1:
         raise ProblemError(f"solve_many needs as many of everything, got {counts}.")
     count = next(iter(counts.values()), 1)
-    columns = [np.broadcast_to(array, (count, array.shape[-1])) for array in arrays.values()]
-    rows = list(zip(*columns, guesses or [None] * count, strict=True))
+    starts, parameters, contexts = (np.broadcast_to(array, (count, array.shape[-1])) for array in arrays.values())
+    begun: Sequence[Guess] = [None] * count if guesses is None else list(guesses)
     each = solver.solve_each if isinstance(solver, BatchSolver) else partial(_one_by_one, solver)
-    return in_groups(partial(each, problem), rows, threads)
+
+    def solve(part: slice) -> list[Solution]:
+        return each(problem, starts[part], parameters[part], contexts[part], begun[part])
+
+    return in_groups(solve, count, threads)
 
 
 def pull_many(
@@ -92,38 +99,80 @@ def pull_many(
         CertificateError: under the policy "raise", when one is not certified.
         ProblemError: arrays of other shapes, or of different B.
     """
-    states, actions = np.asarray(by_states, float), np.asarray(by_actions, float)
-    if not len(solutions) == len(states) == len(actions):
-        given = {"solutions": len(solutions), "by_states": len(states), "by_actions": len(actions)}
+    states, actions = (np.atleast_1d(floats(*each)) for each in (("by_states", by_states), ("by_actions", by_actions)))
+    given = {"solutions": len(solutions), "by_states": len(states), "by_actions": len(actions)}
+    if len(set(given.values())) > 1:
         raise ProblemError(f"pull_many needs as many of everything, got {given}.")
-
     check_policy(policy, ("raise", "flag"))
-    rows = list(zip(solutions, states, actions, strict=True))
-    return in_groups(partial(pull_each, problem, policy=policy), rows, threads)
+    states, actions = _whole(problem.as_states, states), _whole(problem.as_actions, actions)
+
+    def pull(part: slice) -> list[Gradients]:
+        for number, solution in enumerate(solutions[part], part.start):
+            check_solution(problem, solution, f"solution {number}")
+        return pull_each(problem, solutions[part], states[part], actions[part])
+
+    found = in_groups(pull, len(solutions), threads)
+    for number, gradients in enumerate(found):
+        require(policy, gradients.certificate, f"gradient {number}")
+    return found
 
 
-def _one_by_one(solver: Solver, problem: OCP, rows: Sequence[Given]) -> list[Solution]:
-    return [solver.solve(problem, *row) for row in rows]
+def _one_by_one(
+    solver: Solver, problem: OCP, s0: Array, psi: Array, context: Array, guesses: Sequence[Guess]
+) -> list[Solution]:
+    return [solver.solve(problem, *each) for each in zip(s0, psi, context, guesses, strict=True)]
 
 
-def in_groups(function: Callable[[Sequence[Q]], list[R]], given: Sequence[Q], threads: int | None) -> list[R]:
-    """`function(given)`, which has one result for each, in groups that threads share; the order stays.
+def in_groups(function: Callable[[slice], list[R]], count: int, threads: int | None) -> list[R]:
+    """The results of a function that has one for each of a slice of `count`, in groups that threads share, in order.
 
     One call into C does the work of a group: each return from C waits for the interpreter's lock.
     """
-    size = max(1, min(_GROUP, len(given) // (threads or os.cpu_count() or 1)))
-    groups = [given[i : i + size] for i in range(0, len(given), size)]
+    size = max(1, min(_GROUP, count // (threads or os.cpu_count() or 1)))
+    groups = [slice(begin, begin + size) for begin in range(0, count, size)]
     return list(chain.from_iterable(side_by_side(function, groups, threads=threads)))
 
 
 def side_by_side(function: Callable[..., R], *columns: Iterable[Any], threads: int | None = None) -> list[R]:
-    """The results of a function, in the order of its arguments. Raises ProblemError for less than one thread."""
+    """The results of a function, in the order of its arguments. Raises ProblemError for less than one thread.
+
+    This thread and others take one after the other; all stop after theirs when one fails or this thread is interrupted.
+    """
     if threads is not None and threads < 1:
         raise ProblemError(f"threads must be at least 1, got {threads}.")
-    if threads == 1:
-        return list(map(function, *columns))
-    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
-        return list(pool.map(function, *columns))
+    left = deque(enumerate(zip(*columns, strict=True)))
+    count, found, failed = min(threads or os.cpu_count() or 1, len(left)), {}, {}
+
+    def call(number: int, given: tuple[Any, ...]) -> None:
+        try:
+            found[number] = function(*given)
+        except BaseException as error:
+            failed[number] = error
+            left.clear()
+
+    def work() -> None:
+        with suppress(IndexError):  # nothing is left
+            while True:
+                call(*left.popleft())
+
+    with ThreadPoolExecutor(max(count - 1, 1)) as others:
+        try:
+            for _ in range(count - 1):
+                others.submit(work)
+            work()
+        finally:
+            left.clear()
+    for _, error in sorted(failed.items(), key=itemgetter(0)):
+        raise error
+    return [found[number] for number in sorted(found)]
+
+
+def _whole(fit: Callable[[Array], Array], slopes: Array) -> Array:
+    """Slopes as `OCP.as_states` or `OCP.as_actions` has each; they are one shape, and so is what they lack."""
+    if not len(slopes):
+        return slopes
+    whole = fit(slopes[0])
+    return slopes if whole.shape == slopes.shape[1:] else np.array([fit(each) for each in slopes])
 
 
 def _rows(name: str, value: ArrayLike, length: int) -> Array:

@@ -23,8 +23,8 @@ from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.interior_point.machine_code import Compile
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Given, Guess, StageDerivatives
-from kpirl_ocp.types import Solution
+from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives
+from kpirl_ocp.types import Array, Solution
 
 
 @dataclass(frozen=True)
@@ -68,20 +68,22 @@ class Riccati:
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
-        return self.solve_each(problem, [(*problem.inputs(s0, psi, context), guess)])[0]
+        return self.solve_each(problem, *_one(problem, s0, psi, context, guess))[0]
 
-    def solve_each(self, problem: OCP, given: Sequence[Given]) -> list[Solution]:
-        """`solve` for several (s0, psi, context, guess), float64 vectors that fit the problem; see `BatchSolver`."""
+    def solve_each(
+        self, problem: OCP, s0: Array, psi: Array, context: Array, guesses: Sequence[Guess]
+    ) -> list[Solution]:
+        """`solve` for rows of s0 (B, n_s), psi (B, n_psi) and context (B, n_c), with B guesses; see `BatchSolver`."""
         with borrow_core(problem) as core:
-            return core.solve(self._options(), self.compile, given)
+            return core.solve(self._options(), self.compile, s0, psi, context, guesses)
 
     def solve_and_linearise(
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> tuple[Solution, StageDerivatives | None]:
         """`solve`, and the second derivatives that it ended with; see `LinearisingSolver`."""
-        given = [(*problem.inputs(s0, psi, context), guess)]
+        given = _one(problem, s0, psi, context, guess)
         with borrow_core(problem) as core:
-            return core.solve(self._options(), self.compile, given)[0], core.derivatives()
+            return core.solve(self._options(), self.compile, *given)[0], core.derivatives()
 
     def _options(self) -> Any:
         options = c.Options(self.max_iterations, self.steps or 0, self.tolerance, self.barrier)
@@ -89,6 +91,14 @@ class Riccati:
             print(_HEADER, file=sys.stderr)
             options.log = ctypes.cast(_print, ctypes.c_void_p)
         return options
+
+
+def _one(
+    problem: OCP, s0: ArrayLike, psi: ArrayLike, context: ArrayLike, guess: Guess
+) -> tuple[Array, Array, Array, list[Guess]]:
+    """One solve for `Riccati.solve_each`."""
+    start, parameters, about = problem.inputs(s0, psi, context)
+    return start[None], parameters[None], about[None], [guess]
 
 
 _HEADER = "iter   objective      inf_pr   inf_du   compl    lg(tau) ||d||    lg(rg) alpha_du alpha_pr  ls"

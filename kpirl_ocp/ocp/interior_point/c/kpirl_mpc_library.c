@@ -30,27 +30,46 @@ int kpirl_mpc_evaluate_compiled(void *self, const void *arguments, const void *r
   return function->evaluate(function->arguments, function->results, function->integers, function->reals, 0);
 }
 
-static void copy(real *to, const real *from, int count) {
+static real *put(real *to, const real *from, int count) {
   if (count) memcpy(to, from, (size_t)count * sizeof(real));
+  return to + count;
 }
 
-static void read_result(const kpirl_mpc_core *core, kpirl_mpc_result *result) {
+/* What belongs to states, then what belongs to actions, of an array in the order of x. */
+static real *put_by_kind(const kpirl_mpc_core *core, real *to, const real *x) {
+  const int T = core->dimensions.horizon, n_s = core->dimensions.n_states, n_u = core->dimensions.n_actions;
+  int t;
+  for (t = 0; t <= T; ++t) to = put(to, x + t * (n_s + n_u), n_s);
+  for (t = 0; t < T; ++t) to = put(to, x + t * (n_s + n_u) + n_s, n_u);
+  return to;
+}
+
+/* The solution as a row; returns where the next one begins. */
+static real *put_solution(kpirl_mpc_core *core, real *to) {
   const int bounds = kpirl_mpc_n_bounds(core);
-  copy(result->x, core->at.x, kpirl_mpc_n_point(core));
-  copy(result->costates, core->at.costates, core->dimensions.horizon * core->dimensions.n_states);
-  copy(result->path, core->at.z + bounds, kpirl_mpc_n_inequalities(core) - bounds);
-  copy(result->equality, core->at.nu + core->n_fixed, kpirl_mpc_n_equalities(core) - core->n_fixed);
-  kpirl_mpc_bound_multipliers(core, result->bounds);
-  result->objective = core->d.objective;
-  result->iterations = core->iterations;
+  real *net = core->trial.x;
+  kpirl_mpc_bound_multipliers(core, net);
+  to = put_by_kind(core, to, core->at.x);
+  to = put(to, core->at.costates, core->dimensions.horizon * core->dimensions.n_states);
+  to = put_by_kind(core, to, net);
+  to = put(to, core->at.z + bounds, kpirl_mpc_n_inequalities(core) - bounds);
+  return put(to, core->at.nu + core->n_fixed, kpirl_mpc_n_equalities(core) - core->n_fixed);
 }
 
 void kpirl_mpc_solve_each(kpirl_mpc_core *core, int count, const kpirl_mpc_numbers *numbers, const kpirl_mpc_options *options,
-                          const kpirl_mpc_start *starts, kpirl_mpc_result *results) {
+                          const kpirl_mpc_start *starts, real *solutions, kpirl_mpc_result *results) {
+  static const kpirl_mpc_start from_no_action = {0};
+  kpirl_mpc_numbers of = *numbers;
   int i;
   for (i = 0; i < count; ++i) {
-    results[i].status = kpirl_mpc_core_solve(core, numbers + i, options, starts + i, &results[i].residuals);
-    read_result(core, results + i);
+    kpirl_mpc_result *result = results + i;
+    result->status = kpirl_mpc_core_solve(core, &of, options, starts ? starts + i : &from_no_action, &result->residuals);
+    result->objective = core->d.objective;
+    result->iterations = core->iterations;
+    solutions = put_solution(core, solutions);
+    of.s0 += core->dimensions.n_states;
+    of.psi += core->dimensions.n_parameters;
+    of.context += core->dimensions.n_context;
   }
 }
 
@@ -61,8 +80,8 @@ int kpirl_mpc_layout(void) {
                                  sizeof(kpirl_mpc_buffered),   sizeof(kpirl_mpc_compiled),  sizeof(kpirl_mpc_system),
                                  sizeof(kpirl_mpc_triple),     sizeof(kpirl_mpc_rows),      sizeof(kpirl_mpc_kkt),
                                  sizeof(kpirl_mpc_evidence),   sizeof(kpirl_mpc_by_parameters),
-                                 sizeof(kpirl_mpc_solution),   sizeof(kpirl_mpc_result),    sizeof(kpirl_mpc_question),
-                                 sizeof(kpirl_mpc_answer)};
+                                 sizeof(kpirl_mpc_solution),   sizeof(kpirl_mpc_result),    sizeof(kpirl_mpc_questions),
+                                 sizeof(kpirl_mpc_answers)};
   size_t sum = 0, i;
   for (i = 0; i < sizeof sizes / sizeof *sizes; ++i) sum += (i + 1) * sizes[i];
   return (int)sum;

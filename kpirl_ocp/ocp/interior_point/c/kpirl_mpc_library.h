@@ -35,17 +35,17 @@ typedef struct kpirl_mpc_compiled {
 
 int kpirl_mpc_evaluate_compiled(void *self, const void *arguments, const void *results);
 
-/* What a solve found: arrays to be filled, as long as those of kpirl_mpc_start, and numbers. */
+/* What a solve found, besides its solution. */
 typedef struct kpirl_mpc_result {
-  real *x, *costates, *bounds, *path, *equality;
   kpirl_mpc_residuals residuals;
   real objective;
   int iterations, status;
 } kpirl_mpc_result;
 
-/* Solve a problem for several numbers, one after the other. */
+/* Solve a problem for several numbers, one after the other. Arrays hold one row for each: s_0, psi and contexts, and the solutions,
+ * whose rows are the arrays of kpirl_mpc_solution one behind the other. starts NULL: all from no action. */
 void kpirl_mpc_solve_each(kpirl_mpc_core *core, int count, const kpirl_mpc_numbers *numbers, const kpirl_mpc_options *options,
-                          const kpirl_mpc_start *starts, kpirl_mpc_result *results);
+                          const kpirl_mpc_start *starts, real *solutions, kpirl_mpc_result *results);
 
 /* A number that changes with the sizes of the structures: does a library belong to its user? */
 int kpirl_mpc_layout(void);

@@ -211,20 +211,49 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
 
 /* ---- several -------------------------------------------------------------------------------------------------------- */
 
-static void answer_one(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
-                       const kpirl_mpc_question *question, kpirl_mpc_answer *answer) {
+/* The arrays in a row of solutions; returns where the next row begins. */
+static const real *read_solution(const kpirl_mpc_system *s, const real *row, kpirl_mpc_solution *solution) {
+  const int T = s->horizon;
+  solution->states = row;
+  solution->actions = solution->states + (T + 1) * s->n_states;
+  solution->dynamics = solution->actions + T * s->n_actions;
+  solution->of_states = solution->dynamics + T * s->n_states;
+  solution->of_actions = solution->of_states + (T + 1) * s->n_states;
+  solution->path = solution->of_actions + T * s->n_actions;
+  solution->terminal = solution->path + T * s->n_path;
+  solution->equality = solution->terminal + s->n_terminal;
+  solution->terminal_equality = solution->equality + T * s->n_equality;
+  return solution->terminal_equality + s->n_terminal_equality;
+}
+
+/* Answers the first question; then both begin with the next. */
+static void answer_next(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
+                        kpirl_mpc_questions *q, kpirl_mpc_answers *a) {
   const kpirl_mpc_system *s = &k->system;
-  k->numbers = question->numbers;
-  k->barrier = question->barrier;
-  answer->finite = kpirl_mpc_kkt_linearise(k, core, &question->solution, NULL);
-  answer->finite = answer->finite && kpirl_mpc_all_finite(question->slope, kpirl_mpc_system_n_point(s));
-  memcpy(answer->active, s->active, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
-  if (!answer->finite) return;
-  kpirl_mpc_certify(k, nearby, core, function, question->slope, NULL, &answer->gradients, &answer->evidence);
+  const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s);
+  kpirl_mpc_solution solution;
+  q->numbers.s0 = q->solutions;
+  q->solutions = read_solution(s, q->solutions, &solution);
+  k->numbers = q->numbers;
+  k->barrier = *q->barriers;
+  *a->finite = kpirl_mpc_kkt_linearise(k, core, &solution, NULL) && kpirl_mpc_all_finite(q->slopes, n_w);
+  memcpy(a->active, s->active, (size_t)m * sizeof(real));
+  if (*a->finite) kpirl_mpc_certify(k, nearby, core, function, q->slopes, NULL, &a->gradients, a->evidence);
+  q->numbers.psi += k->dimensions.n_parameters;
+  q->numbers.context += k->dimensions.n_context;
+  q->slopes += n_w;
+  ++q->barriers;
+  a->gradients.psi += k->dimensions.n_parameters;
+  a->gradients.s0 += s->n_states;
+  a->gradients.context += k->dimensions.n_context;
+  ++a->evidence;
+  a->active += m;
+  ++a->finite;
 }
 
 void kpirl_mpc_certify_each(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
-                            int count, const kpirl_mpc_question *questions, kpirl_mpc_answer *answers) {
-  int i;
-  for (i = 0; i < count; ++i) answer_one(k, nearby, core, function, questions + i, answers + i);
+                            int count, const kpirl_mpc_questions *questions, const kpirl_mpc_answers *answers) {
+  kpirl_mpc_questions q = *questions;
+  kpirl_mpc_answers a = *answers;
+  while (count-- > 0) answer_next(k, nearby, core, function, &q, &a);
 }

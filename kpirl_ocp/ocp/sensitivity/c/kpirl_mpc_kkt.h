@@ -207,26 +207,25 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, kpirl_mpc_core
                        const real *slope, const real *direction, const kpirl_mpc_by_parameters *by,
                        kpirl_mpc_evidence *evidence);
 
-/* A solution for some numbers, and the slope (n_w) of a function whose gradients are wanted. */
-typedef struct kpirl_mpc_question {
+/* Solutions, each for numbers of its own, and the slopes (n_w) of functions whose gradients are wanted. Arrays hold one row for each;
+ * those of solutions are the arrays of kpirl_mpc_solution one behind the other. s_0 is not read: states begin with it. */
+typedef struct kpirl_mpc_questions {
   kpirl_mpc_numbers numbers;
-  kpirl_mpc_solution solution;
-  const real *slope;
-  real barrier;
-} kpirl_mpc_question;
+  const real *solutions, *slopes, *barriers;
+} kpirl_mpc_questions;
 
-/* Gradients, evidence, and the active rows (m); without a number in gradients and evidence where a derivative or slope is not
- * finite. */
-typedef struct kpirl_mpc_answer {
+/* Gradients, evidence, the active rows (m), and whether all derivatives and the slope are finite; otherwise nothing is written to
+ * gradients and evidence. One row for each. */
+typedef struct kpirl_mpc_answers {
   kpirl_mpc_by_parameters gradients;
-  kpirl_mpc_evidence evidence;
+  kpirl_mpc_evidence *evidence;
   real *active;
-  int finite;
-} kpirl_mpc_answer;
+  int *finite;
+} kpirl_mpc_answers;
 
 /* Linearise at solutions of a problem and certify, one after the other. */
 void kpirl_mpc_certify_each(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
-                            int count, const kpirl_mpc_question *questions, kpirl_mpc_answer *answers);
+                            int count, const kpirl_mpc_questions *questions, const kpirl_mpc_answers *answers);
 
 /* Sizes (n_w) of the entries of x: the largest absolute value over the horizon, finite bounds included. */
 void kpirl_mpc_point_sizes(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, const real *x, real *sizes);
