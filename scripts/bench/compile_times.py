@@ -29,7 +29,10 @@ def measure(preset: Preset) -> Part:
                 cells = f"{found['compile_s']:.2f}", f"{found['script_s']:.1f}"
                 rows.append([method, cache, found["functions"], *cells])
     header = ["method", "cache", "functions", "compilation [s]", "whole script [s]"]
-    note = "Compilation: generating C, compiling it or finding it in the cache, loading. One outer iteration."
+    note = (
+        "Compilation that the script waits for: generating C, compiling it or finding it in the cache, loading; what a "
+        "compiler makes in the background is not in it. One outer iteration."
+    )
     return Part(numbers, [Table("Compilation in learn_cost.py", header, rows, note)])
 
 

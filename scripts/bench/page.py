@@ -38,7 +38,7 @@ def write(tables: Mapping[str, Sequence[Table]], bars: Table, results: Mapping[s
         for name, title in _DESCRIPTIONS.items()
         if name in tables
     ]
-    picture = f"![Every part of the benchmark, and all bars](../images/{FIGURE.name})"
+    picture = f"![Parts of the benchmark that are drawn, one panel each](../images/{FIGURE.name})"
     heading, where = _PROSE.read_text().split("<!-- tables -->")
     PAGE.write_text("\n\n".join([heading.strip(), str(bars), picture, where.strip(), *parts]) + "\n")
     shutil.copyfile(figure, FIGURE)

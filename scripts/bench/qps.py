@@ -102,7 +102,10 @@ def measure(preset: Preset) -> Part:
         rows += [[name, who, *_cells(found, preset.qps)] for who, found in numbers[name].items()]
         numbers[name]["count"] = preset.qps
     title = f"{preset.qps} QPs, n_s = {N_S}, n_u = {N_U}, T = {preset.qp_horizon}, solved and differentiated"
-    note = "Ours: `solve_many` and `pull_many`, gradients with certificates. Problems: how many converged (certified)."
+    note = (
+        "Ours: `solve_many` and `pull_many` with `compile=True`, gradients with certificates. Problems: how many "
+        "converged (certified)."
+    )
     header = ["bounds", "", "time [ms]", "per problem [ms]", "problems", "difference from ours"]
     return Part(numbers, [Table(title, header, rows, note)])
 
@@ -143,7 +146,8 @@ def _done(solutions: list[Solution], certified: list[bool]) -> Numbers:
 
 
 def _solve(problem: OCP, batch: Batch, threads: int) -> list[Solution]:
-    return solve_many(problem, batch.s0, batch.psi, solver=Riccati(tolerance=TOLERANCE), threads=threads)
+    solver = Riccati(tolerance=TOLERANCE, compile=True)
+    return solve_many(problem, batch.s0, batch.psi, solver=solver, threads=threads)
 
 
 def _ours(problem: OCP, batch: Batch, threads: int) -> Callable[[], tuple]:
