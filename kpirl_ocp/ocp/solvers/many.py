@@ -63,7 +63,8 @@ def solve_many(
     if len(set(counts.values())) > 1:
         raise ProblemError(f"solve_many needs as many of everything, got {counts}.")
     count = next(iter(counts.values()), 1)
-    starts, parameters, contexts = (np.broadcast_to(array, (count, array.shape[-1])) for array in arrays.values())
+    whole = (np.broadcast_to(array, (count, array.shape[-1])) for array in arrays.values())
+    starts, parameters, contexts = map(np.ascontiguousarray, whole)
     begun: Sequence[Guess] = [None] * count if guesses is None else list(guesses)
     each = solver.solve_each if isinstance(solver, BatchSolver) else partial(_one_by_one, solver)
 
