@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import casadi as ca
 
+from kpirl_ocp.irl.hypergradients.unrolled_slopes import SMALL
 from kpirl_ocp.ocp.problem.columns import largest_by_row
 from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 
 _SHARE = 0.1  # of its size by which everything is taken to move at least: other iterates may move more than the last
-_SMALL = 1e-3  # share of the largest parameter by which the others move at least
 
 
 def allowed_move(
@@ -58,6 +58,6 @@ def _moves(
 
 
 def _own_size(psi: ca.MX) -> ca.MX:
-    """As in `unrolled_slopes`: at least a share of the largest, and ones where all are zero."""
+    """As in `direction`: at least a share of the largest, and ones where all are zero."""
     size = ca.mmax(ca.fabs(psi))
-    return ca.if_else(size > 0, ca.fmax(ca.fabs(psi), _SMALL * size), 1)
+    return ca.if_else(size > 0, ca.fmax(ca.fabs(psi), SMALL * size), 1)

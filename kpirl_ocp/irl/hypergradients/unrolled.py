@@ -30,7 +30,7 @@ from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
 from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
 from kpirl_ocp.irl.hypergradients.straight_steps import has_straight_steps
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
-from kpirl_ocp.irl.hypergradients.unrolled_slopes import Descents, direction
+from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descents, direction
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_function
 from kpirl_ocp.ocp.conditions.steepness import even_in_psi
@@ -184,7 +184,8 @@ def unrolled_gradients(
     wrong = () if passes_agree(problem, len(demonstrations)) else (WRONG_DERIVATIVES,)
     clear, steady = (all(found) for found in zip(*((sweep.clear, sweep.steady) for sweep in sweeps), strict=True))
     straight = last == solver.steps and steady and has_straight_steps(problem, loss, clear)
-    if straight and all(even_in_psi(problem, x.certificate.solution, direction(numbers)) for x in sweeps):
+    move = STEP * direction(numbers)
+    if straight and all(even_in_psi(problem, sweep.certificate.solution, move) for sweep in sweeps):
         return [sweep.result(0.0, wrong) for sweep in sweeps]
     ends = [
         LossAt(problem, loss, data_of(loss, problem, demonstration), _plan(sweep.certificate.solution))
@@ -255,7 +256,8 @@ def _plan(solution: Solution) -> Array:
 def _sweep(problem: OCP, solver: GradientDescent, last: int, psi: Array, context: Array, output: Array) -> _Sweep:
     """From one column of `unrolled_function`."""
     value, remainder, kink, clearance, initial = output[:_HEAD].tolist()
-    gradient, point = np.split(output[_HEAD:], [problem.n_parameters])
+    end = _HEAD + problem.n_parameters
+    gradient, point = output[_HEAD:end], output[end:]
     solution = audited(problem, solver, psi, context, initial, point)
     certificate = UnrolledCertificate(
         solution=solution,

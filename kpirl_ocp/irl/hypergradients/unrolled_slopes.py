@@ -27,10 +27,10 @@ from kpirl_ocp.ocp.sensitivity.certificate import KINK
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints, gradient_step
 from kpirl_ocp.types import Array, Demonstration
 
-_STEP = 1e-6  # h: of psi, relative
+STEP = 1e-6  # h: of psi, relative
 _CLOSER = 0.1  # a second step, relative to the first: what curvature does to a slope shrinks with it, a kink does not
 _ROUNDING = 1e-11  # of the loss, relative to its terms, with a margin by which kinks are told from it
-_SMALL = 1e-3  # share of the largest parameter by which the others move at least
+SMALL = 1e-3  # share of the largest parameter by which the others move at least
 
 
 @dataclass(frozen=True)
@@ -78,14 +78,14 @@ class Descents:
             terms: (B,) the size of the terms of each loss, with what the steps enlarge them by.
         """
         move = direction(self.psi)
-        noise = _ROUNDING * terms / _STEP
+        noise = _ROUNDING * terms / STEP
         expected, total = gradients @ move, np.abs(gradients * move).sum(axis=1)
-        far = self._slopes(move, _STEP, losses)
+        far = self._slopes(move, STEP, losses)
         size = np.max([total, noise, *np.abs(far)], axis=0)
         kinks = _ratio(np.abs(far - expected).max(axis=0), size)
         if not (kinks > KINK).any():
             return kinks
-        near = self._slopes(move, _CLOSER * _STEP, losses)
+        near = self._slopes(move, _CLOSER * STEP, losses)
         size = np.max([total, noise / _CLOSER, *np.abs(far), *np.abs(near)], axis=0)
         left = np.abs(near - expected - _CLOSER * (far - expected)).max(axis=0) / (1 - _CLOSER)
         return np.where(kinks > KINK, _ratio(left, size), kinks)
@@ -104,8 +104,14 @@ class Descents:
 def direction(psi: Array) -> Array:
     """(n_psi,) random, always the same, in units of the parameters."""
     size = np.abs(psi).max(initial=0.0)
-    own = np.maximum(np.abs(psi), _SMALL * size) if size > 0 else np.ones(len(psi))
-    return own * np.random.default_rng(0).uniform(0.5, 1.0, len(psi))
+    own = np.maximum(np.abs(psi), SMALL * size) if size > 0 else np.ones(len(psi))
+    return own * _shares(len(psi))
+
+
+@lru_cache(maxsize=64)
+def _shares(count: int) -> Array:
+    """(count,) random, always the same."""
+    return np.random.default_rng(0).uniform(0.5, 1.0, count)
 
 
 def _ratio(part: Array, whole: Array) -> Array:

@@ -107,6 +107,7 @@ def _tangent(dynamics: ca.Function) -> ca.Function:
     return ca.Function("tangent", [s, u, psi, costate, x, dcostate], [ca.densify(change)])
 
 
+@lru_cache(maxsize=64)
 def depends_on_psi(dynamics: ca.Function) -> bool:
     """True if f(s, u, psi) does."""
     return bool(dynamics.jac_sparsity(0, 2).nnz())
