@@ -170,11 +170,6 @@ Evidence = _structure(
         ("curvature", "qualification", "distance", "step", "margin", "change", "kink", "linear_residual"), REAL
     ),
 )
-SolutionArrays = _structure(
-    "SolutionArrays",
-    **dict.fromkeys(("states", "actions", "dynamics", "of_states", "of_actions"), POINTER),
-    **dict.fromkeys(("path", "terminal", "equality", "terminal_equality"), POINTER),
-)
 ByParameters = _structure("ByParameters", psi=POINTER, s0=POINTER, context=POINTER)
 Questions = _structure("Questions", numbers=Numbers, solutions=POINTER, slopes=POINTER, barriers=POINTER)
 Answers = _structure("Answers", gradients=ByParameters, evidence=POINTER, active=POINTER, finite=POINTER)
@@ -244,7 +239,7 @@ def _layout() -> int:
     """The sizes of all structures that cross over."""
     crossing = (Dimensions, Model, Bounds, Numbers, Options, Start, View, Residuals, Iteration)
     functions, systems = (Buffered, CompiledFunction), (System, Triple, Rows, KKT)
-    kinds = (*crossing, *functions, *systems, Evidence, ByParameters, SolutionArrays, Result, Questions, Answers)
+    kinds = (*crossing, *functions, *systems, Evidence, ByParameters, Result, Questions, Answers)
     return sum((i + 1) * ctypes.sizeof(kind) for i, kind in enumerate(kinds))
 
 

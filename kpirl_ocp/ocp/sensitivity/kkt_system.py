@@ -28,7 +28,7 @@ from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives, StageValues
 from kpirl_ocp.ocp.sensitivity.rows import Rows, rows_of
-from kpirl_ocp.ocp.sensitivity.solution_arrays import check_solution, solution_arrays, structure_of
+from kpirl_ocp.ocp.sensitivity.solution_arrays import as_row, check_solution
 from kpirl_ocp.types import Array, Mask, Solution
 
 
@@ -154,13 +154,11 @@ class KKTSystem:
 
         Derivatives that are not known are found by a core.
         """
-        kept = solution_arrays(self.instance.problem, solution)
-        arrays = structure_of(kept)
-        known = None
+        row, known = as_row(self.instance.problem, solution), None
         if derivatives is not None:
             view, self._kept = _view_of(derivatives)
             known = ctypes.addressof(view)
-        given = self.address, core.address, ctypes.addressof(arrays), known
+        given = self.address, core.address, c.address_of(row), known
         self.finite = bool(self._library.kpirl_mpc_kkt_linearise(*given))
 
     @property
@@ -272,9 +270,8 @@ def _view_of(derivatives: StageDerivatives) -> tuple[Any, list[Array]]:
 
 def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
     """The point of a solution."""
-    system, kept = KKTSystem(instance), solution_arrays(instance.problem, solution)
-    arrays = structure_of(kept)
-    c.library().kpirl_mpc_kkt_stand(system.address, ctypes.addressof(arrays))
+    system, row = KKTSystem(instance), as_row(instance.problem, solution)
+    c.library().kpirl_mpc_kkt_stand(system.address, c.address_of(row))
     return system.point
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from operator import attrgetter
-from typing import Any
 
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.results import solution_rows
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Solution, floats
@@ -25,15 +23,10 @@ def check_solution(problem: OCP, solution: Solution, name: str = "the solution")
             raise ProblemError(f"{name}'s {part} must be {shape}, got {given}: it is of another problem.")
 
 
-def solution_arrays(problem: OCP, solution: Solution) -> list[Array]:
-    """Those that the structure `kpirl_mpc_solution` shows, in its order."""
+def as_row(problem: OCP, solution: Solution) -> Array:
+    """A solution that fits a problem as a row (n,), see `SolutionRows`."""
     arrays, _ = _arrays(problem)
-    return [np.ascontiguousarray(part, float) for part in arrays(solution)]
-
-
-def structure_of(arrays: list[Array]) -> Any:
-    """`kpirl_mpc_solution`. It does not keep the arrays."""
-    return c.SolutionArrays(*map(c.address_of, arrays))
+    return np.concatenate([np.asarray(part, float).ravel() for part in arrays(solution)])
 
 
 def as_rows(problem: OCP, solutions: Sequence[Solution]) -> Array:

@@ -80,8 +80,7 @@ int kpirl_mpc_layout(void) {
                                  sizeof(kpirl_mpc_buffered),   sizeof(kpirl_mpc_compiled),  sizeof(kpirl_mpc_system),
                                  sizeof(kpirl_mpc_triple),     sizeof(kpirl_mpc_rows),      sizeof(kpirl_mpc_kkt),
                                  sizeof(kpirl_mpc_evidence),   sizeof(kpirl_mpc_by_parameters),
-                                 sizeof(kpirl_mpc_solution),   sizeof(kpirl_mpc_result),    sizeof(kpirl_mpc_questions),
-                                 sizeof(kpirl_mpc_answers)};
+                                 sizeof(kpirl_mpc_result),     sizeof(kpirl_mpc_questions), sizeof(kpirl_mpc_answers)};
   size_t sum = 0, i;
   for (i = 0; i < sizeof sizes / sizeof *sizes; ++i) sum += (i + 1) * sizes[i];
   return (int)sum;

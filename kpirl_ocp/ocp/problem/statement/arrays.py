@@ -20,7 +20,7 @@ class Arrays(Dimensions):
         start = vector("s0", s0, self.n_stated_states, self.n_states)
         missing = self.additions.states[len(start) - self.n_stated_states :]
         return (
-            np.concatenate([start, missing]),
+            np.concatenate([start, missing]) if len(missing) else start,
             vector("psi", psi, self.n_parameters),
             vector("context", context, self.n_context),
         )

@@ -62,7 +62,7 @@ def matrix(name: str, axes: str, value: ArrayLike, *shapes: tuple[int, int]) -> 
     array = numbers(name, value)
     if array.shape not in shapes:
         raise ProblemError(f"{name} must be {axes} = {_or(shapes)}, got {array.shape}.")
-    return np.require(array, requirements=("C", "A"))
+    return array if array.flags.carray else np.require(array, requirements=("C", "A"))
 
 
 def schedule_of(value: ArrayLike | None, horizon: int) -> Array:

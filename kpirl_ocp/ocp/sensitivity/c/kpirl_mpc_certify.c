@@ -211,36 +211,21 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
 
 /* ---- several -------------------------------------------------------------------------------------------------------- */
 
-/* The arrays in a row of solutions; returns where the next row begins. */
-static const real *read_solution(const kpirl_mpc_system *s, const real *row, kpirl_mpc_solution *solution) {
-  const int T = s->horizon;
-  solution->states = row;
-  solution->actions = solution->states + (T + 1) * s->n_states;
-  solution->dynamics = solution->actions + T * s->n_actions;
-  solution->of_states = solution->dynamics + T * s->n_states;
-  solution->of_actions = solution->of_states + (T + 1) * s->n_states;
-  solution->path = solution->of_actions + T * s->n_actions;
-  solution->terminal = solution->path + T * s->n_path;
-  solution->equality = solution->terminal + s->n_terminal;
-  solution->terminal_equality = solution->equality + T * s->n_equality;
-  return solution->terminal_equality + s->n_terminal_equality;
-}
-
 /* Answers the first question; then both begin with the next. */
 static void answer_next(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
                         kpirl_mpc_questions *q, kpirl_mpc_answers *a) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s);
-  kpirl_mpc_solution solution;
+  const int n_solution = 2 * n_w + s->horizon * s->n_states + m - s->n_bounds;
   q->numbers.s0 = q->solutions;
-  q->solutions = read_solution(s, q->solutions, &solution);
   k->numbers = q->numbers;
   k->barrier = *q->barriers;
-  *a->finite = kpirl_mpc_kkt_linearise(k, core, &solution, NULL) && kpirl_mpc_all_finite(q->slopes, n_w);
+  *a->finite = kpirl_mpc_kkt_linearise(k, core, q->solutions, NULL) && kpirl_mpc_all_finite(q->slopes, n_w);
   memcpy(a->active, s->active, (size_t)m * sizeof(real));
   if (*a->finite) kpirl_mpc_certify(k, nearby, core, function, q->slopes, NULL, &a->gradients, a->evidence);
   q->numbers.psi += k->dimensions.n_parameters;
   q->numbers.context += k->dimensions.n_context;
+  q->solutions += n_solution;
   q->slopes += n_w;
   ++q->barriers;
   a->gradients.psi += k->dimensions.n_parameters;

@@ -260,24 +260,21 @@ static void find_bound_forces(kpirl_mpc_kkt *k, const real *net, real *slack) {
   }
 }
 
-void kpirl_mpc_kkt_stand(kpirl_mpc_kkt *k, const kpirl_mpc_solution *at) {
+void kpirl_mpc_kkt_stand(kpirl_mpc_kkt *k, const real *solution) {
   const kpirl_mpc_system *s = &k->system;
-  const size_t T = (size_t)s->horizon, n_h = T * (size_t)s->n_path, n_e = T * (size_t)s->n_equality;
-  real *net = k->work, *place = k->point.forces + s->n_bounds;
+  const int T = s->horizon, n_states = (T + 1) * s->n_states, n_actions = T * s->n_actions, n_c = T * s->n_states;
+  const real *actions = solution + n_states, *costates = actions + n_actions, *of_states = costates + n_c;
+  const real *of_actions = of_states + n_states, *of_rows = of_actions + n_actions;
+  real *net = k->work;
   k->evaluated = 0;
-  by_stage(s, at->states, at->actions, k->point.x);
-  memcpy(k->point.costates, at->dynamics, T * (size_t)s->n_states * sizeof(real));
-  by_stage(s, at->of_states, at->of_actions, net);
+  by_stage(s, solution, actions, k->point.x);
+  memcpy(k->point.costates, costates, (size_t)n_c * sizeof(real));
+  by_stage(s, of_states, of_actions, net);
   find_bound_forces(k, net, net + kpirl_mpc_system_n_point(s));
-  memcpy(place, at->path, n_h * sizeof(real));
-  memcpy(place + n_h, at->terminal, (size_t)s->n_terminal * sizeof(real));
-  place += n_h + (size_t)s->n_terminal;
-  memcpy(place, at->equality, n_e * sizeof(real));
-  memcpy(place + n_e, at->terminal_equality, (size_t)s->n_terminal_equality * sizeof(real));
+  memcpy(k->point.forces + s->n_bounds, of_rows, (size_t)(kpirl_mpc_system_n_rows(s) - s->n_bounds) * sizeof(real));
 }
 
-int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_solution *solution,
-                            const kpirl_mpc_view *derivatives) {
+int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *solution, const kpirl_mpc_view *derivatives) {
   kpirl_mpc_kkt_stand(k, solution);
   if (derivatives)
     kpirl_mpc_kkt_take(k, derivatives);

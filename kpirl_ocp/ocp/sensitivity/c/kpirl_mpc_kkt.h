@@ -78,12 +78,6 @@ typedef struct kpirl_mpc_kkt {
   int borrowed; /* are the factors those of a point close by? */
 } kpirl_mpc_kkt;
 
-/* A solution as arrays that are by rows, one row per stage: S (T+1, n_s), U (T, n_u), and the multipliers of the dynamics (T, n_s), of
- * the bounds of S and U, positive at an upper and negative at a lower one, of h, h_T, e and e_T. */
-typedef struct kpirl_mpc_solution {
-  const real *states, *actions, *dynamics, *of_states, *of_actions, *path, *terminal, *equality, *terminal_equality;
-} kpirl_mpc_solution;
-
 /* Measurements, as in Python's SensitivityCertificate. */
 typedef struct kpirl_mpc_evidence {
   real curvature, qualification, distance, step, margin, change, kink, linear_residual;
@@ -105,9 +99,10 @@ real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *kkt, const real *slack, int r
 /* Lay out memory for a problem; returns how many numbers it takes. memory NULL: count only. */
 size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *kkt, const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, real *memory);
 
-/* A solution as kkt->point. Of two sides of a bound the force is on the one that pushes; with a barrier both push, and only their
+/* A solution as kkt->point: S (T+1, n_s), U (T, n_u), and the multipliers of the dynamics (T, n_s), of the bounds of S and U, positive
+ * at an upper and negative at a lower one, of h, h_T, e and e_T, row by row, one behind the other. Of two sides of a bound the force is on the one that pushes; with a barrier both push, and only their
  * difference is known: the further one pushes with tau / slack, the nearer one with the rest. */
-void kpirl_mpc_kkt_stand(kpirl_mpc_kkt *kkt, const kpirl_mpc_solution *solution);
+void kpirl_mpc_kkt_stand(kpirl_mpc_kkt *kkt, const real *solution);
 
 /* Derivatives at kkt->point: from a core; or take over those that are known, whose matrices must stay. path: h and h_T; equality:
  * e and e_T. */
@@ -119,8 +114,7 @@ void kpirl_mpc_kkt_take(kpirl_mpc_kkt *kkt, const kpirl_mpc_view *derivatives);
 int kpirl_mpc_kkt_select(kpirl_mpc_kkt *kkt, const real *active);
 
 /* All of these for a solution, polished where all is finite; derivatives NULL: they are evaluated. */
-int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_solution *solution,
-                            const kpirl_mpc_view *derivatives);
+int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const real *solution, const kpirl_mpc_view *derivatives);
 
 /* The same where the point has moved so little that sizes, active rows and roots stay. */
 int kpirl_mpc_kkt_select_again(kpirl_mpc_kkt *kkt);
@@ -208,7 +202,7 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, kpirl_mpc_core
                        kpirl_mpc_evidence *evidence);
 
 /* Solutions, each for numbers of its own, and the slopes (n_w) of functions whose gradients are wanted. Arrays hold one row for each;
- * those of solutions are the arrays of kpirl_mpc_solution one behind the other. s_0 is not read: states begin with it. */
+ * those of solutions as in kpirl_mpc_kkt_stand. s_0 is not read: states begin with it. */
 typedef struct kpirl_mpc_questions {
   kpirl_mpc_numbers numbers;
   const real *solutions, *slopes, *barriers;
