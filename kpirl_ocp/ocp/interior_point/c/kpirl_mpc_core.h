@@ -178,10 +178,14 @@ void kpirl_mpc_core_gradient(const kpirl_mpc_core *core, real *r);
  * function reported an error. */
 int kpirl_mpc_core_evaluate_at(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point, int level);
 
+/* The same of stage 0 alone, for a model by stage; what belongs to the other stages, and to all together, is left as it is. */
+int kpirl_mpc_core_evaluate_start(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point, int level);
+
 /* ---- parts ---- */
 
 /* model: evaluate at core->at into core->d. */
 void kpirl_mpc_evaluate(kpirl_mpc_core *core, int level);
+void kpirl_mpc_evaluate_stage_0(kpirl_mpc_core *core, int level);
 /* Roll out actions K-free from s_0 in x: states follow the dynamics. */
 void kpirl_mpc_roll_out(kpirl_mpc_core *core, real *x);
 /* Objective, path, equality and defects at x; `path` and the others are arrays as in kpirl_mpc_derivatives. */

@@ -183,6 +183,13 @@ void kpirl_mpc_evaluate(kpirl_mpc_core *core, int level) {
   subtract_costates(core, d->gradient);
 }
 
+void kpirl_mpc_evaluate_stage_0(kpirl_mpc_core *core, int level) {
+  const int n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
+  int i;
+  differentiate_stage(core, level, 0);
+  for (i = 0; i < n_s; ++i) core->d.defects[i] -= core->at.x[n_x + i];
+}
+
 static void step_dynamics(kpirl_mpc_core *core, int t, const real *x, real *successor) {
   const kpirl_mpc_model *model = &core->model;
   const kpirl_mpc_stage_function *function = model->by_stage ? &model->stage[KPIRL_MPC_VALUES] : &model->dynamics;

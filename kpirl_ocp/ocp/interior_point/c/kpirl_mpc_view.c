@@ -32,15 +32,26 @@ void kpirl_mpc_core_gradient(const kpirl_mpc_core *core, real *r) {
   kpirl_mpc_path_push(core, d->E, DIM(core, n_equality), DIM(core, n_terminal_equality), core->at.nu + core->n_fixed, r);
 }
 
-int kpirl_mpc_core_evaluate_at(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point, int level) {
+static void stand_at(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point) {
   const int bounds = kpirl_mpc_n_bounds(core), fixed = core->n_fixed;
   core->numbers = *numbers;
   core->failed = 0;
-  core->d.matrices = level == KPIRL_MPC_SECOND;
   memcpy(core->at.x, point->x, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
   memcpy(core->at.costates, point->costates, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
   memcpy(core->at.z + bounds, point->path, (size_t)(kpirl_mpc_n_inequalities(core) - bounds) * sizeof(real));
   memcpy(core->at.nu + fixed, point->equality, (size_t)(kpirl_mpc_n_equalities(core) - fixed) * sizeof(real));
+}
+
+int kpirl_mpc_core_evaluate_at(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point, int level) {
+  stand_at(core, numbers, point);
+  core->d.matrices = level == KPIRL_MPC_SECOND;
   kpirl_mpc_evaluate(core, level);
+  return core->failed;
+}
+
+int kpirl_mpc_core_evaluate_start(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point, int level) {
+  stand_at(core, numbers, point);
+  core->d.matrices = 0;
+  kpirl_mpc_evaluate_stage_0(core, level);
   return core->failed;
 }

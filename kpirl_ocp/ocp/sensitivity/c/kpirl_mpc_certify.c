@@ -105,6 +105,7 @@ static real slope_left(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl
   const kpirl_mpc_system *s = &k->system;
   kpirl_mpc_kkt there = *k;
   int i;
+  there.evaluated = 0;
   work = kpirl_mpc_place_triple(s, work, &there.point);
   for (i = 0; i < kpirl_mpc_system_n_triple(s); ++i) there.point.x[i] = k->point.x[i] + length * tangent->x[i];
   return (kpirl_mpc_weighted_beside(&there, core, weights, moves, length, values, work) - here) / length;

@@ -92,7 +92,10 @@ real kpirl_mpc_weighted_beside(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, con
   memcpy(x, k->point.x, (size_t)n_w * sizeof(real));
   moved(k->point.x, moves + n_psi, length, n_s, x);
   for (i = 0; i < s->n_free; ++i) x[s->free[i]] = k->point.x[s->free[i]];
-  kpirl_mpc_conditions(k, core, &numbers, &point, values);
+  if (k->evaluated && n_psi + n_context == 0 && core->model.by_stage)
+    kpirl_mpc_start_conditions(k, core, &numbers, &point, values);
+  else
+    kpirl_mpc_conditions(k, core, &numbers, &point, values);
   return kpirl_mpc_weighted_sum(s, weights, values, &ignored);
 }
 

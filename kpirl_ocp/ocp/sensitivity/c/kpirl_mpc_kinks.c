@@ -21,19 +21,25 @@ static real lagrangian_of(const kpirl_mpc_kkt *k, real objective, const real *de
   return objective + kpirl_mpc_dot(k->point.costates, defects, n_c) + kpirl_mpc_dot(k->point.forces + s->n_bounds, rows, m);
 }
 
+/* A point as the core takes it. */
+static kpirl_mpc_start start_at(const kpirl_mpc_system *s, const kpirl_mpc_triple *point) {
+  kpirl_mpc_start at = {0};
+  at.x = point->x;
+  at.costates = point->costates;
+  at.path = point->forces + s->n_bounds;
+  at.equality = at.path + s->horizon * s->n_path + s->n_terminal;
+  return at;
+}
+
 real kpirl_mpc_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers,
                           const kpirl_mpc_triple *point, real *values) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n_path = s->horizon * s->n_path + s->n_terminal;
   const int n = kpirl_mpc_n_conditions(s);
-  kpirl_mpc_start at = {0};
+  const kpirl_mpc_start at = start_at(s, point);
   kpirl_mpc_view view;
-  int i, failed;
-  at.x = point->x;
-  at.costates = point->costates;
-  at.path = point->forces + s->n_bounds;
-  at.equality = at.path + n_path;
-  failed = kpirl_mpc_core_evaluate_at(core, numbers, &at, KPIRL_MPC_FIRST);
+  const int failed = kpirl_mpc_core_evaluate_at(core, numbers, &at, KPIRL_MPC_FIRST);
+  int i;
   kpirl_mpc_core_view(core, &view);
   memcpy(values, view.gradient, (size_t)n_w * sizeof(real));
   memcpy(values + n_w, view.defects, (size_t)n_c * sizeof(real));
@@ -41,6 +47,24 @@ real kpirl_mpc_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kp
   memcpy(values + n_w + n_c + n_path, view.equality, (size_t)(n - n_w - n_c - n_path) * sizeof(real));
   for (i = 0; failed && i < n; ++i) values[i] = (real)NAN;
   return lagrangian_of(k, view.objective, values + n_w, values + n_w + n_c);
+}
+
+void kpirl_mpc_start_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers,
+                                const kpirl_mpc_triple *point, real *values) {
+  const kpirl_mpc_system *s = &k->system;
+  const int n_s = s->n_states, n_x = n_s + s->n_actions;
+  const kpirl_mpc_start at = start_at(s, point);
+  real *defects = values + kpirl_mpc_system_n_point(s), *path = defects + s->horizon * n_s;
+  real *equality = path + s->horizon * s->n_path + s->n_terminal;
+  kpirl_mpc_view view;
+  const int failed = kpirl_mpc_core_evaluate_start(core, numbers, &at, KPIRL_MPC_FIRST);
+  kpirl_mpc_core_view(core, &view);
+  kpirl_mpc_known_conditions(k, values);
+  memcpy(values, view.gradient, (size_t)n_x * sizeof(real));
+  memcpy(defects, view.defects, (size_t)n_s * sizeof(real));
+  memcpy(path, view.path, (size_t)s->n_path * sizeof(real));
+  memcpy(equality, view.equality, (size_t)s->n_equality * sizeof(real));
+  if (failed) values[0] = (real)NAN;
 }
 
 real kpirl_mpc_known_conditions(const kpirl_mpc_kkt *k, real *values) {

@@ -153,6 +153,10 @@ real kpirl_mpc_conditions(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const 
                           const kpirl_mpc_triple *point, real *values);
 real kpirl_mpc_known_conditions(const kpirl_mpc_kkt *kkt, real *values);
 
+/* The conditions where s_0 alone differs from kkt->point, where they are known: those of stage 0 are evaluated. For a model by stage. */
+void kpirl_mpc_start_conditions(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers,
+                                const kpirl_mpc_triple *point, real *values);
+
 /* Relative disagreement of the conditions, differenced to either side along x (n_w), with their derivatives. */
 real kpirl_mpc_kink_along(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const real *direction);
 static const real KPIRL_MPC_NO_KINK = (real)1e-3; /* disagreement above which a shorter move is tried, too */
