@@ -242,8 +242,9 @@ def test_the_readme_shows_the_fastest_peer_of_every_problem(bench):
         page.in_readme("nothing", numbers)
 
 
-def test_hpipm_is_given_the_qp_that_we_solve(bench):
-    case = bench("control_problems").bounded_lqr(True, horizon=5)
+@pytest.mark.parametrize("state_bounds", [True, False])
+def test_hpipm_is_given_the_qp_that_we_solve(bench, state_bounds):
+    case = bench("control_problems").bounded_lqr(state_bounds, horizon=5)
     peers = bench("qp_peers").qp_peers(case, 1e-8)
     assert list(peers) == list(bench("qp_peers").NAMES)
     solve, iterations = peers["HPIPM"]

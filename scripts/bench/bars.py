@@ -76,7 +76,8 @@ def _control(numbers: Numbers) -> Iterator[Bar]:
         peers = [found[peer] for peer in PEERS if peer in found]
         fastest = min(peers, key=lambda peer: peer["median_ms"], default={"left_out": "no peer took part"})
         if HPIPM in found:
-            yield Bar(f"{name}: solve / HPIPM", 1.0, _ratio(own, found[HPIPM]), note=_otherwise(own, found[HPIPM]))
+            note = f"{_otherwise(own, found[HPIPM])}; {_ratio(own, fastest):.3g} of the best peer"
+            yield Bar(f"{name}: solve / HPIPM", 1.0, _ratio(own, found[HPIPM]), note=note)
         else:
             yield Bar(f"{name}: solve / best peer", 0.5, _ratio(own, fastest), note=_otherwise(own, fastest))
         yield Bar(f"{name}: solve / exported controller", 1.2, _ratio(own, found.get(EXPORTED, {})))

@@ -14,6 +14,7 @@ HPIPM, PIQP, CROCODDYL = "HPIPM", "PIQP, multistage", "Crocoddyl, BoxFDDP"
 NAMES = (HPIPM, PIQP, CROCODDYL)
 Peer = tuple[Callable[[], object] | None, int]
 """A solve, and how many iterations it takes; None where the peer is not installed, cannot state it, or fails."""
+_FAR = 1e3  # for infinite bounds with HPIPM: CasADi's interface hands these on as bounds, and it does not converge
 
 
 def qp_peers(case: ControlProblem, tolerance: float) -> dict[str, Peer]:
@@ -52,7 +53,7 @@ def _hpipm(case: ControlProblem, tolerance: float) -> Peer:
         "hpipm": settings,
     }
     solver = ca.conic("peer", "hpipm", {"h": H.sparsity(), "a": A.sparsity()}, options)
-    lower, upper = (_side(case, side) for side in (0, 1))
+    lower, upper = (np.clip(_side(case, side), -_FAR, _FAR) for side in (0, 1))
     given = {"h": H, "g": g, "a": A, "lba": b, "uba": b, "lbx": lower, "ubx": upper}
     solver(**given)
     stats = solver.stats()
