@@ -14,9 +14,9 @@ SCHEDULE = np.array([[1.0, 0.3, 0], [0, 1, 0.2], [0.5, 0, 1], [0.1, 1, 1]])
 EVEN = [1.3, -0.4, 2.0, 0.7]
 
 
-def problem_of(weight=1.0, end=1.0, gain=1.0):
+def problem_of(weight=1.0, end=1.0, gain=1.0, other=P[3]):
     """A problem with weights of the state on the way and at the end, and with a gain of the action."""
-    cost = weight * (S[0] - C) ** 2 + P[3] * S[1] ** 2 + U**2
+    cost = weight * (S[0] - C) ** 2 + other * S[1] ** 2 + U**2
     return OCP.from_expressions(
         state=S,
         action=U,
@@ -46,7 +46,9 @@ CASES = {  # problem; psi
     "a steep polynomial": (problem_of((1e6 * (P[0] - 1.3) + 1) ** 2 + 1), EVEN),
     "steep at the end": (problem_of(1, 1e6 * (P[0] - 1.3)), [1.3 + 1e-7, -0.4, 2.0, 0.7]),
     "a steep gain": (problem_of(gain=1e6 * (P[0] - 1.3)), [1.3 + 1e-7, -0.4, 2.0, 0.7]),
-    "no weights, and no parameters": (problem_of(), [0.0, 0.0, 0.0, 1.0]),
+    "weights that are no parameters": (problem_of(), [0.0, 0.0, 0.0, 1.0]),
+    "no weights, and a parameter of zero": (problem_of(other=1), [0.0, -0.4, 2.0, 0.7]),
+    "a square of a weight alone": (problem_of(other=1, end=P[0] ** 2), [0.0, -0.4, 2.0, 0.7]),
     "a gain": (problem_of(gain=P[0]), EVEN),
 }
 

@@ -91,7 +91,7 @@ def _affine(problem: OCP, listed: Listed) -> _Affine:
     rows, columns = (np.array(places, int) for places in slopes.sparsity().get_triplet())
     values = np.array(slopes.nonzeros())
     there = values != 0
-    return _Affine(ca.horzcat(*a).full().T, rows[there], columns[there], values[there])
+    return _Affine(np.stack([constant.full().ravel() for constant in a]), rows[there], columns[there], values[there])
 
 
 def _are_even(problem: OCP, listed: Listed, solution: Solution, move: Array, stages: slice, *trajectory: Array) -> bool:
