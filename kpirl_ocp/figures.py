@@ -91,7 +91,8 @@ def bands(axes: Axes, curves: Mapping[str, Sequence[Array]], chosen: Mapping[str
 def weights(axes: Axes, values: Array, title: str, dimensions: int = 3) -> None:
     """Weights (T, dimensions K) over time as an image: rows are keypoint coordinates, columns time steps."""
     limit = float(np.abs(values).max()) or 1.0
-    image = axes.imshow(values.T, aspect="auto", cmap="RdBu_r", vmin=-limit, vmax=limit)
+    lowest, colours_of = (-limit, "RdBu_r") if (values < 0).any() else (0.0, "Reds")
+    image = axes.imshow(values.T, aspect="auto", cmap=colours_of, vmin=lowest, vmax=limit)
     axes.set(title=title, xlabel="time step t")
     axes.set_xticks(range(len(values)), [str(t) for t in range(1, len(values) + 1)])
     names = [f"keypoint {i // dimensions} {'xyz'[i % dimensions]}" for i in range(values.shape[1])]

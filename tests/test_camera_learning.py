@@ -17,9 +17,10 @@ from films import WALL, film, pose, shaken
 from kpirl_ocp.assets import iiwa_urdf
 from kpirl_ocp.cli.commands import learn_video
 from kpirl_ocp.cli.imitation.arm import Scale, arm_for, other_starts
+from kpirl_ocp.cli.imitation.checks import check_cost_arm
 from kpirl_ocp.cli.imitation.execution import execute
 from kpirl_ocp.cli.main import run
-from kpirl_ocp.errors import DemonstrationError, ProblemError, SceneError
+from kpirl_ocp.errors import DemonstrationError, FileError, OptionError, ProblemError, SceneError
 from kpirl_ocp.irl.cases.cost_files import ArmSetting, LearnedCost
 from kpirl_ocp.irl.visual.camera_learning import (
     camera_demonstration,
@@ -132,6 +133,24 @@ def test_the_arms_keypoints_make_the_figure_of_the_film(iiwa):
 def test_a_path_that_leaves_the_image_is_refused_with_what_to_do():
     with pytest.raises(DemonstrationError, match="smaller scale"):
         arm_for("iiwa", None, way(across=500.0), SCALE)
+
+
+def test_a_path_that_hardly_moves_the_arm_is_refused_with_a_scale_that_does():
+    with pytest.raises(DemonstrationError, match="choose a larger one") as refused:
+        arm_for("iiwa", None, way(), Scale(0.01, None, None))
+    larger = float(re.search(r"as --scale (\S+), or", str(refused.value))[1])
+    assert arm_for("iiwa", None, way(), Scale(larger, None, None))[0].scale == larger
+
+
+@pytest.mark.parametrize("name", ["iiwa", "ur5"])
+def test_an_object_of_unknown_length_is_taken_to_be_so_short_that_its_path_fits(name):
+    places = way(across=700.0)
+    arm, wanted = arm_for(name, None, places, Scale(None, None, 200.0))
+    assert arm.smaller
+    np.testing.assert_allclose(wanted, arm.scale * (places - places[0]), atol=1e-9)
+    with pytest.raises(DemonstrationError, match=f"as --scale {arm.scale:.2g}, or a smaller --object-size"):
+        arm_for(name, None, places, Scale(None, 0.25, 200.0))
+    assert not arm_for(name, None, way(), Scale(None, None, 200.0))[0].smaller
 
 
 @pytest.mark.parametrize("name", ["iiwa", "ur5"])
@@ -262,6 +281,7 @@ def test_a_learned_cost_says_all_that_planning_with_it_needs(tmp_path, iiwa, lea
     assert content["arm"]["unit"] == 120
     assert content["arm"]["max_displacement"] == 0.3
     again = LearnedCost.read(tmp_path / "cost.json")
+    np.testing.assert_array_equal(again.goals, learned.cost.goals)
     robot = again.setting.build()
     for start in (again.start, again.start + 0.05):
         one, other = plan_from(learned.cost, arm.robot, start), plan_from(again, robot, start)
@@ -274,6 +294,29 @@ def test_costs_written_before_they_named_their_arm_are_read(tmp_path):
     content |= {"psi": [1.0] * 9, "horizon": 5, "solver": {"kind": "ipopt"}}
     path.write_text(json.dumps(content))
     assert LearnedCost.read(path).setting.robot == ArmSetting().robot == "iiwa"
+    assert LearnedCost.read(path).goals is None
+    for wrong in ([[0.0] * 9] * 4, [0.0] * 5, [[np.nan]] * 5):
+        path.write_text(json.dumps(content | {"goals": wrong}))
+        with pytest.raises(FileError, match="goals must be 5 rows of finite numbers"):
+            LearnedCost.read(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"start": np.zeros(6)}, "is for an arm of 6 joints; this one has 7"),
+        ({"setting": ArmSetting(keypoints=HELD)}, "is for 2 keypoints; those of this film are 3"),
+        (
+            {"setting": ArmSetting(keypoints=(Keypoint("lbr_iiwa_link_6", (0, 0, 0)),) * 3)},
+            "is for a bottle on the link 'lbr_iiwa_link_6', not 'lbr_iiwa_link_7'; give --flange lbr_iiwa_link_6",
+        ),
+    ],
+)
+def test_a_cost_for_another_arm_of_the_name_is_refused(change, message, iiwa, learned):
+    arm, _ = iiwa
+    check_cost_arm("cost.json", learned.cost, arm.setting.keypoints, arm.robot.n_joints)
+    with pytest.raises(OptionError, match=message):
+        check_cost_arm("cost.json", replace(learned.cost, **change), arm.setting.keypoints, arm.robot.n_joints)
 
 
 # Other arms
@@ -372,7 +415,7 @@ def test_a_film_that_shows_no_motion_is_refused_with_a_picture(tmp_path, capsys)
     path = write_video(tmp_path / "still.mp4", frames, 30, codec="h264")
     words = ["learn-video", str(path), "--box", "54,74,106,126", "--out", str(tmp_path)]
     assert run(words) == 2
-    assert "hardly move" in capsys.readouterr().err
+    assert re.search(r"hardly move.*What was marked is outlined in .*object\.png", capsys.readouterr().err)
     assert (tmp_path / "refused.png").exists()
 
 
@@ -418,7 +461,10 @@ def test_tracks_that_were_written_are_those_of_the_film_and_its_part_when_they_a
     part = ["learn-video", str(path), "--start", "0.5", "--end", "1.4"]
     assert run([*part, "--box", "60,65,112,117", "--out", str(tmp_path)]) == 0
     for words in (part, part[:2]):
-        assert run([*words, "--tracks", str(tmp_path / "tracks.npz"), "--out", str(tmp_path / "again")]) == 0
+        assert (
+            run([*words, "--tracks", str(tmp_path / "tracks.npz"), "--scale", "1", "--out", str(tmp_path / "again")])
+            == 0
+        )
     (film, tracks), *again = admitted
     assert film.camera is not None
     for other, read in again:

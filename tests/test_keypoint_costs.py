@@ -260,6 +260,22 @@ def test_every_parametrisation_has_the_derivatives_of_its_formula():
             np.testing.assert_allclose(np.array(derivatives(v)).ravel(), [first(v), second(v)], rtol=1e-14)
 
 
+def test_goals_of_the_steps_move_the_goal_of_each_step():
+    cost, rng = KeypointCost(TimeDependent(), effort=0.3), np.random.default_rng(0)
+    goals, goal, psi = rng.normal(size=(T, N_Z)), rng.normal(size=N_Z), rng.uniform(1, 2, T * N_Z)
+    problem, plain = keypoint_ocp(ROBOT, cost, T, goals=goals), keypoint_ocp(ROBOT, cost, T)
+    s0, actions = keypoint_state(ROBOT, np.zeros(ROBOT.n_joints)), rng.normal(0, 0.1, (T, ROBOT.n_joints))
+    states = problem.simulate(s0, actions, psi).states
+    point = states.T, actions.T, psi, goal
+    weighted = psi.reshape(T, N_Z) * (states[1:, :N_Z] - goal - goals) ** 2
+    assert float(problem.cost(*point)) == pytest.approx(weighted.sum() + 0.3 * (actions**2).sum(), rel=1e-13)
+    without = keypoint_ocp(ROBOT, cost, T, goals=np.zeros((T, N_Z)))
+    assert float(without.cost(*point)) == pytest.approx(float(plain.cost(*point)), rel=1e-14)
+    for wrong in (goals[1:], goals * np.nan):
+        with pytest.raises(ProblemError, match="goals must be"):
+            keypoint_ocp(ROBOT, cost, T, goals=wrong)
+
+
 @pytest.mark.parametrize("basis", BASES, ids=str)
 def test_coefficients_of_all_stages_are_those_of_each_stage(basis):
     horizon = 2 * GROUP + 3  # several functions of so many stages, and a shorter one

@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+pytest.importorskip("av")
 pytest.importorskip("cv2")
 pytest.importorskip("pybullet")
 pytest.importorskip("torch")
+
+import av
 
 from kpirl_ocp.assets import shipped_model
 from kpirl_ocp.cli.main import run
@@ -101,21 +104,60 @@ def test_wrong_tracks_are_refused_first(text, refused, tmp_path):
 
 def test_right_tracks_reach_the_film(refused, tmp_path):
     (tmp_path / "tracks.csv").write_text("point,x,y,frame\n1,2,3,0\n1,3,3,1\n")
-    assert "no_film.mp4" in refused(f"--tracks {tmp_path / 'tracks.csv'} --source-rate 30")
+    assert "no_film.mp4" in refused(f"--tracks {tmp_path / 'tracks.csv'} --source-rate 30 --scale 1")
+
+
+def test_tracks_do_not_tell_the_size_of_the_object(refused, tmp_path):
+    (tmp_path / "tracks.csv").write_text("point,x,y,time\n1,2,3,0\n1,3,3,1\n")
+    tracks = f"--tracks {tmp_path / 'tracks.csv'}"
+    assert "error: --tracks: needs --scale, the pixels of the arm's camera per pixel of the film" in refused(tracks)
+    assert "--object-size: --tracks does not tell how many pixels long" in refused(f"{tracks} --object-size 0.2")
+    assert "error: --detector: needs --scale" in refused(DETECTOR)
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("--box 0,0,300,20", "--box: the box 0,0,300,20 is not inside the image of 240 x 180 pixels."),
+        ("--box 0,0,300,20", "--box: the box 0,0,300,20 is not inside the image of 240 x 180 pixels: give its left"),
         ("--box 20,0,10,20", "--box: the box 20,0,10,20 is not inside"),
-        ("--points 10,10 10,-1", "--points: a clicked point is outside the image of 240 x 180 pixels."),
+        ("--points 10,10 10,-1", "--points: a clicked point is outside the image of 240 x 180 pixels: give x and y"),
+        ("--end 0.4", "--end: {film} ends after 0.30 s, 0.4 s is later; give less, or leave --end out"),
+        ("--start 2", "--start: {film} ends after 0.30 s, 2 s is later; give less, or leave --start out"),
+        ("--start 0.2 --end 5", "--end: {film} ends after 0.30 s, 5 s is later"),
+        ("--end 0.34", "has 3 frames from 0 s to 0.34 s: that shows no motion."),  # as a player rounds 0.3
     ],
 )
-def test_places_outside_the_first_frame_are_refused_before_the_rest_is_looked_at(words, message, tmp_path, capsys):
+def test_places_and_times_outside_the_film_are_refused_before_it_is_watched(words, message, tmp_path, capsys):
     film = write_video(tmp_path / "film.mp4", np.zeros((3, 180, 240, 3), np.uint8), 10)  # too short for a motion
     assert run(["learn-video", str(film), *words.split(), "--out", str(tmp_path)]) == 2
-    assert message in capsys.readouterr().err
+    assert message.format(film=film) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "message"),
+    [
+        ("empty", "", "the folder {path} holds no PNG or JPEG pictures: give one that does, or a video."),
+        ("empty", "--source-rate 10", "the folder {path} holds no PNG or JPEG pictures"),
+        ("one.png", "", "{path} is one picture, which shows no motion: give a video, or a folder of pictures."),
+        ("sound.mp3", "", "{path} is not a video: expected one of .mp4"),
+        ("sound.mp4", "", "{path} holds no video, only sound or subtitles."),
+        ("empty", "--source-rate 0", "--source-rate: expected a finite number above 0, got '0'"),
+    ],
+)
+def test_what_is_no_film_is_refused(name, words, message, tmp_path, capsys):
+    path = tmp_path / name
+    if name == "empty":
+        path.mkdir()
+    elif name == "sound.mp4":
+        with av.open(str(path), "w") as container:
+            stream = container.add_stream("aac", rate=44100, layout="mono")
+            silence = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+            silence.sample_rate = 44100
+            container.mux([*stream.encode(silence), *stream.encode()])
+    else:
+        path.write_bytes(b"\0" * 100)
+    assert run(["learn-video", str(path), *words.split(), "--out", str(tmp_path / "out")]) == 2
+    assert message.format(path=path) in capsys.readouterr().err
 
 
 def npz(**arrays):
@@ -159,7 +201,7 @@ def test_numbers_that_contradict_the_film_are_refused_before_it_is_watched(track
     path = tmp_path / "tracks.npz"
     if tracks is not None:
         np.savez(path, **tracks)
-        words += f" --tracks {path}"
+        words += f" --tracks {path} --scale 1"
     assert run(["learn-video", str(film), *words.split(), "--out", str(tmp_path)]) == 2
     assert message.format(film=film) in capsys.readouterr().err
 

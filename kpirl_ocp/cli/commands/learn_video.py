@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from kpirl_ocp.cli.imitation.arm import BOTTLE_LENGTH, Arm, Scale, arm_for, other_starts
-from kpirl_ocp.cli.imitation.checks import camera_cost, check, check_film
+from kpirl_ocp.cli.imitation.checks import camera_cost, check, check_cost_arm, check_film
 from kpirl_ocp.cli.imitation.drawing import draw_imitation, draw_learning, draw_paths, side_by_side
 from kpirl_ocp.cli.imitation.execution import ALLOWED, Executed, execute, shortfall
 from kpirl_ocp.cli.imitation.learned_dynamics import imitate
-from kpirl_ocp.errors import DemonstrationError, OptionError
+from kpirl_ocp.errors import DemonstrationError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.visual.camera_learning import camera_demonstration, learn_in_image
 from kpirl_ocp.irl.visual.reach import check_reach
@@ -74,8 +74,9 @@ def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) 
     if args.dynamics:
         return imitate(args, part)
     steps = part.at_rate(args.steps / float(part.times[-1]))
-    scale = Scale(args.scale, args.object_size or BOTTLE_LENGTH, length)
+    scale = Scale(args.scale, args.object_size, length)
     arm, way = arm_for(args.robot or "iiwa", args.flange, steps.positions, scale)
+    print(f"scale:   {arm.scale:.3g} pixels of the arm's camera per pixel of the film{_why_smaller(arm)}")
     learned = _learn(args, arm, way, args.steps / float(part.times[-1]))
     starts = other_starts(arm, args.starts, args.seed)
     runs = [execute(arm, learned, way, start) for start in starts]
@@ -89,6 +90,11 @@ def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) 
     if args.export:
         print(f"C:       {_export(args.out / 'c', learned, arm)}")
     return 1 if far else 0
+
+
+def _why_smaller(arm: Arm) -> str:
+    """The end of the sentence on the scale."""
+    return f"; the path of an object of {BOTTLE_LENGTH} m would leave its image" if arm.smaller else ""
 
 
 def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:
@@ -118,8 +124,10 @@ def _admit(args: Namespace, film: Film, tracks: Tracks) -> None:
 
 
 def _guess(args: Namespace) -> str:
-    """Advice for a film in which nothing was marked."""
-    if args.box or args.points or args.tracks or args.hand or args.detector:
+    """Advice on what was marked, or for a film in which nothing was."""
+    if args.box or args.points:
+        return f" What was marked is outlined in {args.out / 'object.png'}: if that is not the object, mark it again."
+    if args.tracks or args.hand or args.detector:
         return ""
     return (
         f" Nothing was marked, so whatever moves was followed: if {args.out / 'object.png'} does not outline the "
@@ -150,9 +158,7 @@ def _learn(args: Namespace, arm: Arm, way: Array, rate: float) -> LearnedCost:
 def _reuse(path: Path, arm: Arm, way: Array) -> LearnedCost:
     """A cost of another film, for the goal of this one. Raises OptionError if it does not fit."""
     learned = camera_cost(path, arm.name, len(way) - 1)
-    size, needed = learned.displacement.size, way[0].size
-    if size != needed:
-        raise OptionError(f"--cost: {path} is for {size // 2} keypoints; those of this film are {needed // 2}")
+    check_cost_arm(path, learned, arm.setting.keypoints, arm.robot.n_joints)
     return replace(learned, setting=arm.setting, displacement=(way[-1] - way[0]).ravel() / arm.setting.unit)
 
 

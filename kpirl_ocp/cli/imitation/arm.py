@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ _VIEW = np.array([0.0, -1.45, 0.08])  # from the bottle to the camera of another
 _BEND = 1.0  # of the joints of another arm [rad]: almost stretched, three joints hardly move the bottle lengthwise
 _SMALLER = 0.9  # of the largest scale that fits
 _MARGIN = 5.0  # keypoints stay this far inside the image [pixels]
+_SHORTEST = 3.0  # way of a keypoint that a plan can show [pixels]
 _AWAY = 0.08  # other starts from the first, and the first from joint limits, at most and at least [rad]
 _MOST = 0.3  # largest displacement of a joint in one step [rad]
 
@@ -36,6 +37,7 @@ class Arm:
 
     name: "iiwa", a name of example-robot-data, or the path of a URDF. flange: the link that holds the bottle.
     start: (n_joints,) [rad]. camera: of the scene. robot: its keypoints are those of the demonstration.
+    scale: pixels of the camera per pixel of the film. smaller: whether that is less than the bottle's length says.
     """
 
     name: str
@@ -44,6 +46,8 @@ class Arm:
     camera: Camera
     setting: ArmSetting
     robot: Robot
+    scale: float
+    smaller: bool
 
     def scene(self, rate: int = 5) -> Scene:
         """The scene with this arm, to be used in a `with` block."""
@@ -54,11 +58,12 @@ class Arm:
 class Scale:
     """Pixels of the arm's camera per pixel of the film: given, or from the length of the object.
 
-    given: the number itself; None to find it. length: of the object [m]. pixels: of the object in the film.
+    given: the number itself; None to find it. pixels: of the object in the film.
+    length: of the object [m]; None if it is not known: that of the bottle, or as much less as the path needs to fit.
     """
 
     given: float | None
-    length: float
+    length: float | None
     pixels: float | None
 
     def at(self, focal: float, depth: float) -> float:
@@ -67,7 +72,12 @@ class Scale:
             return self.given
         if self.pixels is None:
             raise DemonstrationError("the tracks do not tell how large the object is: say the scale (--scale).")
-        return focal / depth * self.length / self.pixels
+        return focal / depth * (BOTTLE_LENGTH if self.length is None else self.length) / self.pixels
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it is more than a guess."""
+        return self.given is not None or self.length is not None
 
 
 def arm_for(name: str, flange: str | None, places: Array, scale: Scale) -> tuple[Arm, Array]:
@@ -79,7 +89,7 @@ def arm_for(name: str, flange: str | None, places: Array, scale: Scale) -> tuple
 
     Raises:
         RobotError, SceneError: there is no such arm, or it cannot hold the bottle.
-        DemonstrationError: the path leaves the image.
+        DemonstrationError: the path leaves the image at a known scale, or hardly moves.
     """
     bare = robot_called(name)
     link = flange or (FLANGE if name == "iiwa" else bare.keypoints[0].link)
@@ -90,13 +100,17 @@ def arm_for(name: str, flange: str | None, places: Array, scale: Scale) -> tuple
     if name == "iiwa":
         start = _start_for(bare, camera, way)
     rotation, position, depth = _bottle(name, link, bare, camera, start)
-    pinhole = Pinhole(camera.intrinsics, *camera.extrinsics)
     figure = factor * (places[0] - places[0].mean(axis=0))
+    fits = _share_that_fits(camera, camera.project(position), figure + way)
+    if fits < 1 and not scale.is_known:
+        arm, way = arm_for(name, flange, places, Scale(_SMALLER * fits * factor, None, None))
+        return replace(arm, smaller=True), way
+    _check_size(camera, figure + way, fits, factor)
+    pinhole = Pinhole(camera.intrinsics, *camera.extrinsics)
     held = held_points(pinhole, rotation, position, figure)
     keypoints = _on_flange(name, link, bare, start, rotation, position, held)
     setting = ArmSetting(name, keypoints, camera.height / 2, pinhole, max_displacement=_MOST)
-    _check_view(camera, camera.project(position), figure + way, factor)
-    return Arm(name, link, start, camera, setting, setting.build()), way
+    return Arm(name, link, start, camera, setting, setting.build(), factor, smaller=False), way
 
 
 def other_starts(arm: Arm, count: int, seed: int | tuple[int, ...]) -> list[Array]:
@@ -170,15 +184,25 @@ def _elsewhere(name: str, flange: str, robot: Robot) -> tuple[Camera, Array]:
     return Camera(eye=eye, target=target), start  # type: ignore[arg-type]
 
 
-def _check_view(camera: Camera, place: Array, offsets: Array, scale: float) -> None:
-    """Raise DemonstrationError, with a scale that fits, if offsets (T+1, K, 2) from a place (2,) leave the image."""
+def _share_that_fits(camera: Camera, place: Array, offsets: Array) -> float:
+    """The factor by which offsets (T+1, K, 2) from a place (2,) just stay in the image [pixels]."""
     size = np.array([camera.width, camera.height])
     room = np.where(offsets < 0, place - _MARGIN, size - _MARGIN - place)
-    fits = float((room / np.maximum(np.abs(offsets), 1e-9)).min())
+    return float((room / np.maximum(np.abs(offsets), 1e-9)).min())
+
+
+def _check_size(camera: Camera, offsets: Array, fits: float, scale: float) -> None:
+    """Raise DemonstrationError if offsets (T+1, K, 2) fit only when scaled by less than 1, or hardly move."""
     if fits < 1:
         span = np.ptp(offsets.reshape(-1, 2), axis=0).max()
         raise DemonstrationError(
             f"scaled by {scale:.3g}, the path spans {span:.0f} of the {camera.width} pixels of the arm's camera and "
             f"leaves its image: choose a smaller scale, as --scale {_SMALLER * fits * scale:.2g}, or a smaller "
             "--object-size."
+        )
+    way = float(np.linalg.norm(offsets - offsets[0], axis=-1).max())
+    if way < _SHORTEST:
+        raise DemonstrationError(
+            f"scaled by {scale:.3g}, the keypoints move by {way:.2g} pixels of the arm's camera: choose a larger one, "
+            f"as --scale {10 * _SHORTEST / way * scale:.2g}, or a larger --object-size."
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from kpirl_ocp.cli.imitation import learned_dynamics
 from kpirl_ocp.cli.sentences import of_option
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.cost_files import LearnedCost, robot_called
+from kpirl_ocp.ocp.models.robot import Keypoint
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.hands.landmarks import check_hands
 from kpirl_ocp.perception.tracking.objects import check_box, check_points
@@ -18,6 +20,7 @@ from kpirl_ocp.perception.tracking.tracks import check_size, own_rate, read_trac
 from kpirl_ocp.perception.tracking.watch import LONGEST, Film
 from kpirl_ocp.types import Array
 
+_ROUNDED = 0.05  # by which a time that a player shows may be rounded up [s]
 _SAME_RATE = 0.02  # relative difference of rates that are rounded, as 29.97 to 30 Hz
 
 
@@ -36,10 +39,13 @@ def check(args: Namespace) -> None:
         learned_dynamics.check(args)
     else:
         _arm_and_cost(args)
+        _sized(args)
 
 
 def check_film(args: Namespace, film: Film) -> None:
-    """Raise OptionError if --box, --points, --tracks or --source-rate contradict the film."""
+    """Raise OptionError if --start, --end, --box, --points, --tracks or --source-rate contradict the film."""
+    if args.start or args.end is not None:
+        _within(args, Film(film.path, film.source_rate, end=film.end).times())
     if args.box:
         with of_option("--box"):
             check_box(film.first(), args.box)
@@ -59,8 +65,28 @@ def camera_cost(path: Path, robot: str, steps: int) -> LearnedCost:
     if learned.horizon != steps:
         raise OptionError(f"--cost: {path} has T = {learned.horizon}, --steps says {steps}")
     if learned.setting.robot != robot:
-        raise OptionError(f"--cost: {path} is for the robot {learned.setting.robot!r}, not {robot!r}")
+        raise OptionError(
+            f"--cost: {path} is for the robot {learned.setting.robot!r}, not {robot!r}; give --robot "
+            f"{learned.setting.robot}, or learn a cost for {robot} without --cost"
+        )
     return learned
+
+
+def check_cost_arm(path: Path, learned: LearnedCost, keypoints: Sequence[Keypoint], n_joints: int) -> None:
+    """Raise OptionError if a cost is for another arm of the name, another link or another number of keypoints.
+
+    keypoints, n_joints: of the arm that is to plan with it.
+    """
+    theirs, ours = learned.setting.keypoints, keypoints
+    if learned.start.size != n_joints:
+        raise OptionError(f"--cost: {path} is for an arm of {learned.start.size} joints; this one has {n_joints}")
+    if len(theirs) != len(ours):
+        raise OptionError(f"--cost: {path} is for {len(theirs)} keypoints; those of this film are {len(ours)}")
+    if theirs[0].link != ours[0].link:
+        raise OptionError(
+            f"--cost: {path} is for a bottle on the link {theirs[0].link!r}, not {ours[0].link!r}; give --flange "
+            f"{theirs[0].link}, or learn without --cost"
+        )
 
 
 def _together(args: Namespace) -> None:
@@ -78,6 +104,29 @@ def _together(args: Namespace) -> None:
         raise OptionError("--flange: not with --dynamics, which were learned with what the arm held")
     if args.dynamics and args.object_size:
         raise OptionError("--object-size: not with --dynamics, which know no metres; give --scale")
+
+
+def _sized(args: Namespace) -> None:
+    """Raise OptionError for tracks of something whose length in pixels they do not tell, without a scale."""
+    sources = {"--tracks": args.tracks, "--hand": args.hand, "--detector": args.detector}
+    given = next((name for name, value in sources.items() if value), None)
+    if given and args.object_size:
+        raise OptionError(f"--object-size: {given} does not tell how many pixels long the object is; give --scale")
+    if given and args.scale is None:
+        raise OptionError(
+            f"{given}: needs --scale, the pixels of the arm's camera per pixel of the film, as it does not tell how "
+            "large the object is"
+        )
+
+
+def _within(args: Namespace, times: Array) -> None:
+    """Raise OptionError if --start or --end is after the end of a film with frames at times (n,) [s], up to --end."""
+    lasts = float(times[-1] + np.diff(times).max(initial=0.0))
+    for name, given in (("--start", args.start), ("--end", args.end or 0.0)):
+        if given > lasts + _ROUNDED:
+            raise OptionError(
+                f"{name}: {args.film} ends after {lasts:.2f} s, {given:g} s is later; give less, or leave {name} out"
+            )
 
 
 def _tracks_of(args: Namespace, film: Film) -> None:

@@ -23,29 +23,32 @@ from kpirl_ocp.types import Array
 
 
 def draw_paths(path: Path, runs: list[Executed]) -> Path:
-    """The demonstrated paths, dashed, and those of the arm's keypoints, in its image; one panel per start."""
+    """The demonstrated paths, broad, and those of the arm's keypoints, in its image at the end; one panel per start."""
     figure, axes = figures.new_figure(1, len(runs), height=4.0)
     for number, (axis, run) in enumerate(zip(axes, runs, strict=True)):
         size = run.images.shape[2], run.images.shape[1]
         axis.imshow(run.images[-1], extent=(0, size[0], size[1], 0), alpha=0.6)
         for index in range(run.keypoints.shape[1]):
             colour = figures.COLOURS[index % len(figures.COLOURS)]
-            axis.plot(*run.wanted[:, index].T, "--", color=colour, linewidth=1)
+            axis.plot(*run.wanted[:, index].T, color=colour, linewidth=5, alpha=0.35)
             axis.plot(*run.keypoints[:, index].T, ".-", color=colour, linewidth=1, markersize=4)
-        axis.plot([], [], "k--", label="demonstrated")
-        axis.plot([], [], "k.-", label="executed")
+        axis.plot([], [], "k", linewidth=5, alpha=0.35, label="demonstrated")
+        axis.plot([], [], "k.-", linewidth=1, markersize=4, label="executed, step by step")
         axis.set_title(f"start {number + 1}: {run.reached:.1%} off the path", fontsize=10)
-        axis.set(xlabel="x [pixels]", ylabel="y [pixels]")
+        axis.set(xlabel="x in the arm's camera [pixels]", ylabel="y [pixels]")
     figures.shared_legend(axes)
     return figures.save(figure, path)
 
 
 def draw_learning(path: Path, learning: CameraLearning) -> Path:
-    """Training loss and learned weights."""
-    figure, axes = figures.new_figure(1, 2)
+    """Training loss, and learned weights of keypoints and effort."""
+    figure, axes = figures.new_figure(1, 3)
     _loss(axes[0], learning.history.losses)
-    weights, _ = learning.cost.cost.weights(learning.cost.psi, learning.cost.horizon, len(learning.cost.displacement))
+    cost = learning.cost
+    weights, efforts = cost.cost.weights(cost.psi, cost.horizon, len(cost.displacement))
     figures.weights(axes[1], weights, "learned weights", dimensions=2)
+    axes[2].bar(np.arange(1, len(efforts) + 1), efforts, color=figures.COLOURS[0])
+    axes[2].set(title="learned effort weights", xlabel="step", ylabel="weight of |u|², u in rad")
     return figures.save(figure, path)
 
 
@@ -75,7 +78,7 @@ def draw_imitation(path: Path, tracks: Tracks, run: Executed) -> Path:
 
 
 def _draw_tracks(axis: Axes, tracks: Tracks) -> None:
-    """Rings where the tracks (T+1, K, 2) begin, dots where they end, and the quadrilateral that they make there."""
+    """Rings where the tracks (n, K, 2) begin, dots where they end, and the quadrilateral that they make there."""
     places, (width, height) = tracks.positions, tracks.size
     for end in (0, -1):
         around = places[end] - places[end].mean(axis=0)
@@ -86,7 +89,7 @@ def _draw_tracks(axis: Axes, tracks: Tracks) -> None:
         axis.plot(*places[:, index].T, color=colour)
         axis.scatter(*places[0, index], facecolors="white", edgecolors=colour, zorder=3)
         axis.scatter(*places[-1, index], color=colour, zorder=3)
-    axis.set(title="the object's tracks in the film", xlabel="x [pixels]", ylabel="y [pixels]")
+    axis.set(title="the film: tracks", xlabel="x [pixels]", ylabel="y [pixels]")
     axis.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
 
 

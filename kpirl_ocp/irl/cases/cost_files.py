@@ -58,8 +58,8 @@ class ArmSetting:
         """The robot with its keypoints. Raises RobotError if there is none of that name."""
         return robot_called(self.robot, self.keypoints)
 
-    def problem(self, robot: Robot, cost: KeypointCost, horizon: int) -> OCP:
-        """Plan with a cost over T steps."""
+    def problem(self, robot: Robot, cost: KeypointCost, horizon: int, goals: Array | None = None) -> OCP:
+        """Plan with a cost over T steps; goals: as in `keypoint_ocp`."""
         return keypoint_ocp(
             robot,
             cost,
@@ -68,6 +68,7 @@ class ArmSetting:
             camera=self.camera,
             joint_limits=self.joint_limits,
             max_displacement=self.max_displacement,
+            goals=goals,
         )
 
     def state(self, robot: Robot, theta: Array) -> Array:
@@ -83,6 +84,7 @@ class LearnedCost:
     setting: the arm it was learned with. start: (n_joints,) joint positions at the start of the demonstration [rad].
     displacement: (n_z,) from the keypoints there to the goal. Both are empty if the goal comes from elsewhere.
     rate: [Hz] of the steps in the demonstration; 0 if it is unknown.
+    goals: (T, n_z) of the steps, from the goal, as in `keypoint_ocp`; None where the goal is that of all steps.
     """
 
     cost: KeypointCost
@@ -93,10 +95,11 @@ class LearnedCost:
     start: Array = field(default_factory=lambda: np.zeros(0))
     displacement: Array = field(default_factory=lambda: np.zeros(0))
     rate: float = 0.0
+    goals: Array | None = None
 
     def problem(self, robot: Robot) -> OCP:
         """The planning problem of this cost; without constraints if the solver is gradient descent."""
-        problem = self.setting.problem(robot, self.cost, self.horizon)
+        problem = self.setting.problem(robot, self.cost, self.horizon, self.goals)
         return problem.unconstrained() if isinstance(self.solver, GradientDescent) else problem
 
     def goal(self, s0: Array) -> Array:
@@ -117,6 +120,7 @@ class LearnedCost:
             "start": self.start.tolist(),
             "displacement": self.displacement.tolist(),
             "rate": self.rate,
+            "goals": None if self.goals is None else self.goals.tolist(),
         }
         write_whole(path, json.dumps(content, indent=2) + "\n")
 
@@ -150,6 +154,7 @@ class LearnedCost:
                 start=_numbers("start", content.get("start", ())),
                 displacement=_numbers("displacement", content.get("displacement", ())),
                 rate=number("rate", content.get("rate", 0.0), "a number of at least 0", np.nextafter(0, -1)),
+                goals=_goals(content.get("goals"), horizon),
             )
         except FileNotFoundError:
             raise FileError(f"{path} does not exist: learn a cost with `kpirl learn`.") from None
@@ -164,6 +169,16 @@ def _numbers(name: str, values: Any) -> Array:
     array = numbers(name, values)
     if array.ndim != 1 or not np.isfinite(array).all():
         raise ValueError(f"{name} must be a list of finite numbers, got {shown(values)}")
+    return array
+
+
+def _goals(values: Any, horizon: int) -> Array | None:
+    """A row (n_z,) of finite numbers for each step; None for none."""
+    if values is None:
+        return None
+    array = numbers("goals", values)
+    if array.ndim != 2 or len(array) != horizon or not np.isfinite(array).all():
+        raise ValueError(f"goals must be {horizon} rows of finite numbers, got {shown(values)}")
     return array
 
 

@@ -25,6 +25,7 @@ from kpirl_ocp.irl.visual.learning import (
     learn_implicit,
     learn_unrolled,
 )
+from kpirl_ocp.irl.visual.parts import goals_of_parts
 from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
 from kpirl_ocp.irl.visual.reach import check_reach
 
@@ -41,6 +42,7 @@ __all__ = [
     "Plant",
     "camera_demonstration",
     "check_reach",
+    "goals_of_parts",
     "held_points",
     "learn_by_apprenticeship",
     "learn_implicit",

@@ -6,12 +6,21 @@ Only the displacements from the first frame are kept, and scaled between the two
 
 The arm's keypoints are points fixed to what it holds that make the same figure in its image as the person's do in the
 film, scaled; so a turn of the object is demonstrated, too.
+
+The cost is that of the paper with weights W_t on the keypoints and rho_t on the effort, both of each step,
+
+    C_psi = sum_t  sum_i W_t[i] (z_t[i] - z_goal,t[i])^2  +  rho_t |u_t|^2,    W > 0,  rho >= 0.03
+
+With one rho for all steps a plan towards a goal cannot gain speed: along one coordinate, optimality means
+rho u_t = sum_{k > t} W_k (z_goal - z_k), a sum that loses a term with each step. A person starts slowly and pauses.
+The factor common to W and rho is free, so the least rho bounds their ratio alone: without effort, joints that the
+keypoints leave free would not be determined, and no gradient could be certified.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +30,7 @@ from kpirl_ocp.irl.cases.cost_files import ArmSetting, LearnedCost
 from kpirl_ocp.irl.hypergradients.implicit import Implicit
 from kpirl_ocp.irl.learning.learn import LearningResult, learn
 from kpirl_ocp.irl.learning.optimisers import LBFGS
+from kpirl_ocp.irl.visual.parts import goals_of_parts
 from kpirl_ocp.ocp.models.keypoint_costs import KeypointCost, TimeDependent
 from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Robot
@@ -29,7 +39,11 @@ from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, Demonstration, Solution
 
 _SOLVER = Riccati(tolerance=1e-9)
+_OPTIMISER = LBFGS(tolerance=1e-4)
 _PROGRESS = 0.05  # relative fall of the loss with which it is worth beginning again
+_TURN = 0.05  # share of the way by which a coordinate goes back where it turns, and within which it rests
+_FIRST_WEIGHTS = 0.01  # beside efforts of 1 plans begin slowly; heavier ones leap, and leap elsewhere with each psi
+_LEAST_EFFORT = 0.03  # of the initial effort weights
 
 
 def held_points(camera: Pinhole, rotation: Array, position: Array, offsets: ArrayLike) -> Array:
@@ -60,11 +74,17 @@ def camera_demonstration(setting: ArmSetting, robot: Robot, theta: Array, way: A
 
 def path_distance(observations: Array, demonstrated: Array) -> float:
     """Mean distance of two paths (T+1, 2 K), over the farthest that the demonstrated keypoints go from their start."""
-    gap, way = (
-        np.linalg.norm(values.reshape(len(values), -1, 2), axis=-1).mean(axis=1)
-        for values in (observations - demonstrated, demonstrated - demonstrated[0])
-    )
-    return float(gap.mean() / way.max())
+    return float(_mean_norms(observations - demonstrated).mean() / way_length(demonstrated))
+
+
+def way_length(demonstrated: Array) -> float:
+    """The farthest that the keypoints of a path (T+1, 2 K) go from their start, in the mean over them."""
+    return float(_mean_norms(demonstrated - demonstrated[0]).max())
+
+
+def _mean_norms(values: Array) -> Array:
+    """(T+1,) mean length over K of vectors (T+1, 2 K)."""
+    return np.asarray(np.linalg.norm(values.reshape(len(values), -1, 2), axis=-1).mean(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +99,12 @@ class CameraLearning:
 def learn_in_image(
     setting: ArmSetting, robot: Robot, demonstrations: Sequence[Demonstration], rate: float, iterations: int = 200
 ) -> CameraLearning:
-    """Learn time-dependent weights and one effort weight by the implicit gradient of the converged plan, with L-BFGS.
+    """Learn weights of keypoints and effort at each step by the implicit gradient of the converged plan, with L-BFGS.
 
     Args:
         setting, robot: the arm.
         demonstrations: the same way from one start or several; weights that fit one start alone may suit others less.
-            The cost takes its start and goal from the first.
+            The cost takes its start and goals from the first.
         rate: [Hz] of the demonstrations' steps.
         iterations: of L-BFGS, at most.
 
@@ -93,30 +113,40 @@ def learn_in_image(
     """
     demonstration = demonstrations[0]
     horizon, n_z = len(demonstration.observations) - 1, demonstration.observations.shape[1]
-    cost = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
-    psi0 = cost.initial(horizon, n_z, np.ones((horizon, n_z)))
-    problem = setting.problem(robot, cost, horizon)
-    result = learn_on(problem, demonstrations, psi0, iterations)
+    cost = KeypointCost(TimeDependent(), effort=(1.0,) * horizon, learn_effort=True, positivity="softplus")
+    psi0 = cost.initial(horizon, n_z, _FIRST_WEIGHTS)
+    observations = demonstration.observations
+    goals = goals_of_parts(observations, _TURN * way_length(observations)) - observations[-1]
+    problem = setting.problem(robot, cost, horizon, goals)
+    least = replace(cost, effort=(_LEAST_EFFORT,) * horizon).initial(horizon, n_z)
+    least[:-horizon] = -np.inf
+    result = learn_on(problem, demonstrations, psi0, iterations, least)
     start = demonstration.s0[n_z : n_z + robot.n_joints]
-    way = demonstration.observations[-1] - demonstration.observations[0]
-    learned = LearnedCost(cost, result.psi, horizon, _SOLVER, setting, start, way, rate)
+    way = observations[-1] - observations[0]
+    learned = LearnedCost(cost, result.psi, horizon, _SOLVER, setting, start, way, rate, goals)
     plan = plan_from(learned, robot, start)
-    return CameraLearning(learned, result, path_distance(plan.states[:, :n_z], demonstration.observations))
+    return CameraLearning(learned, result, path_distance(plan.states[:, :n_z], observations))
 
 
-def learn_on(problem: OCP, demonstrations: Sequence[Demonstration], psi0: Array, iterations: int) -> LearningResult:
+def learn_on(
+    problem: OCP,
+    demonstrations: Sequence[Demonstration],
+    psi0: Array,
+    iterations: int,
+    least: Array | float = -np.inf,
+) -> LearningResult:
     """Learn with the implicit gradient, and begin again with a new memory where L-BFGS gets stuck, if that helps.
 
     Every plan starts cold, as those of the learned cost will: a plan that is continued from one psi to the next may
     stay in a local minimum that no later plan finds.
 
-    psi0: (n_psi,). iterations: in all.
+    psi0: (n_psi,). iterations: in all. least: lower bounds of psi.
 
     Raises CertificateError if a gradient cannot be certified.
     """
-    result = _learn(problem, demonstrations, psi0, iterations)
+    result = _learn(problem, demonstrations, psi0, iterations, least)
     while (left := iterations + 1 - len(result.losses)) > 0:
-        more = _learn(problem, demonstrations, result.psi, left)
+        more = _learn(problem, demonstrations, result.psi, left, least)
         stuck = more.loss > (1 - _PROGRESS) * result.loss
         result = LearningResult(
             psi=more.psi,
@@ -131,8 +161,11 @@ def learn_on(problem: OCP, demonstrations: Sequence[Demonstration], psi0: Array,
     return result
 
 
-def _learn(problem: OCP, demonstrations: Sequence[Demonstration], psi0: Array, iterations: int) -> LearningResult:
-    found = learn(problem, demonstrations, psi0, Implicit(_SOLVER), LBFGS(), iterations, warm_start=False)
+def _learn(
+    problem: OCP, demonstrations: Sequence[Demonstration], psi0: Array, iterations: int, least: Array | float
+) -> LearningResult:
+    method, bounds = Implicit(_SOLVER), (least, np.inf)
+    found = learn(problem, demonstrations, psi0, method, _OPTIMISER, iterations, warm_start=False, bounds=bounds)
     return found.raise_if_interrupted()
 
 

@@ -35,8 +35,11 @@ def keypoint_ocp(
     camera: Pinhole | None = None,
     joint_limits: bool = True,
     max_displacement: float = np.inf,
+    goals: ArrayLike | None = None,
 ) -> OCP:
     """Plan keypoints of an arm to the goal z_goal with ground-truth kinematics, in space or in a camera's image.
+
+    With `goals` the cost draws z_t to z_goal + goals[t-1] instead, a goal for each step.
 
     Args:
         robot: with K keypoints.
@@ -46,20 +49,24 @@ def keypoint_ocp(
         camera: keypoints are its pixels, x and y of each, and n_z = 2 K; without one n_z = 3 K.
         joint_limits: bound theta by the limits of the URDF.
         max_displacement: largest |u| per step and joint [rad].
+        goals: (T, n_z) of the steps t = 1..T, from z_goal [unit]; None for zeros.
 
     Returns:
         A problem with states (n_z + 2 n_joints,), actions (n_joints,) and the context z_goal (n_z,).
 
     Raises:
-        ProblemError: a unit or displacement that is not positive, or a cost that does not fit the horizon.
+        ProblemError: a unit or displacement that is not positive, a cost that does not fit the horizon, or goals of
+            another shape.
     """
     if not unit > 0 or not max_displacement > 0:
         raise ProblemError(f"unit and max_displacement must be positive, got {unit!r} and {max_displacement!r}.")
     n_z, n_q = (2 if camera else 3) * robot.n_keypoints, robot.n_joints
-    schedule = cost.schedule(horizon)
+    basis = cost.schedule(horizon)
+    schedule = basis if goals is None else np.hstack([basis, _goal_columns(goals, horizon, n_z)])
     state, action = ca.SX.sym("s", n_z + 2 * n_q), ca.SX.sym("u", n_q)
     psi = ca.SX.sym("psi", cost.n_parameters(horizon, n_z))
     goal, stage = ca.SX.sym("goal", n_z), ca.SX.sym("d", schedule.shape[1])
+    row, aim = stage[: basis.shape[1]], goal if goals is None else goal + stage[basis.shape[1] :]
     z, theta, velocity = state[:n_z], state[n_z : n_z + n_q], state[n_z + n_q :]
     successor = theta + action
     free = np.full(n_z, np.inf), np.full(n_q, np.inf)
@@ -71,14 +78,22 @@ def keypoint_ocp(
         context=goal,
         stage=stage,
         dynamics=ca.vertcat(visible_keypoints(robot, camera, successor) / unit, successor, velocity),
-        stage_cost=cost.stage_cost(z, action, psi, goal, stage),
-        terminal_cost=cost.stage_cost(z, ca.SX.zeros(n_q), psi, goal, stage),
+        stage_cost=cost.stage_cost(z, action, psi, aim, row),
+        terminal_cost=cost.stage_cost(z, ca.SX.zeros(n_q), psi, aim, row),
         observation=z,
         horizon=horizon,
         action_bounds=(-max_displacement, max_displacement),
         state_bounds=(np.hstack([-free[0], limits[0], -free[1]]), np.hstack([free[0], limits[1], free[1]])),
         schedule=schedule,
     )
+
+
+def _goal_columns(goals: ArrayLike, horizon: int, n_z: int) -> Array:
+    """The goals as columns of the schedule (T+1, n_z); s_0 has none, as it has no weight."""
+    found = np.asarray(goals, float)
+    if found.shape != (horizon, n_z) or not np.isfinite(found).all():
+        raise ProblemError(f"goals must be {(horizon, n_z)} finite numbers, got shape {found.shape}.")
+    return np.vstack([np.zeros((1, n_z)), found])
 
 
 def network_ocp(

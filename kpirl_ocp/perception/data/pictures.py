@@ -25,16 +25,21 @@ def natural_order(path: Path) -> tuple[tuple[int, int, str], ...]:
     return tuple((1, int(part), "") if part.isdigit() else (0, 0, part) for part in parts)
 
 
+def pictures_in(folder: Path) -> list[Path]:
+    """The pictures of a folder in their order. Raises FileError if there are none."""
+    paths = sorted((path for path in folder.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES), key=natural_order)
+    if not paths:
+        raise FileError(f"the folder {folder} holds no PNG or JPEG pictures: give one that does, or a video.")
+    return paths
+
+
 def iterate_pictures(folder: Path) -> Iterator[NDArray[np.uint8]]:
     """The pictures (H, W, 3) RGB of a folder one by one, upright as the camera noted (EXIF).
 
     Raises FileError if there are none, or one cannot be read or has another size.
     """
-    paths = sorted((path for path in folder.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES), key=natural_order)
-    if not paths:
-        raise FileError(f"the folder {folder} holds no PNG or JPEG pictures.")
     shape = None
-    for path in paths:
+    for path in pictures_in(folder):
         image = decode_picture(_content(path), str(path))
         shape = shape or image.shape
         if image.shape != shape:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kpirl_ocp.errors import FileError
 from kpirl_ocp.perception.data.decoding import decode
-from kpirl_ocp.perception.data.pictures import iterate_pictures
+from kpirl_ocp.perception.data.pictures import PICTURE_SUFFIXES, iterate_pictures, pictures_in
 from kpirl_ocp.sizes import LARGEST
 from kpirl_ocp.types import Indices
 
@@ -40,7 +40,10 @@ def iterate_frames(
     """
     path = Path(path)
     if path.is_dir() and source_rate is None:
+        pictures_in(path)  # refuses a folder without any
         raise FileError(f"{path} is a folder of images: say its frame rate with source_rate (--source-rate).")
+    if path.is_file() and path.suffix.lower() in PICTURE_SUFFIXES:
+        raise FileError(f"{path} is one picture, which shows no motion: give a video, or a folder of pictures.")
     if not path.is_dir() and source_rate is not None:
         raise FileError(f"{path} is no folder of images; source_rate is for those, a video has times of its own.")
     frames = decode(path, end) if source_rate is None else _paced(iterate_pictures(path), source_rate)

@@ -56,7 +56,8 @@ def check_box(image: Frames, box: ArrayLike) -> tuple[int, int, int, int]:
     height, width = image.shape[:2]
     if not (0 <= left < right <= width and 0 <= top < bottom <= height):
         raise DemonstrationError(
-            f"the box {left},{top},{right},{bottom} is not inside the image of {width} x {height} pixels."
+            f"the box {left},{top},{right},{bottom} is not inside the image of {width} x {height} pixels: give its "
+            "left, top, right and bottom in these."
         )
     return left, top, right, bottom
 
@@ -66,7 +67,9 @@ def check_points(image: Frames, points: ArrayLike) -> Array:
     clicks = np.atleast_2d(np.asarray(points, float))
     height, width = image.shape[:2]
     if not np.all((clicks >= 0) & (clicks < [width, height])):
-        raise DemonstrationError(f"a clicked point is outside the image of {width} x {height} pixels.")
+        raise DemonstrationError(
+            f"a clicked point is outside the image of {width} x {height} pixels: give x and y in these."
+        )
     return clicks
 
 

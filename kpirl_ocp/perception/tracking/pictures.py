@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from kpirl_ocp.errors import DemonstrationError
 from kpirl_ocp.figures import COLOURS, save
@@ -19,6 +20,7 @@ from kpirl_ocp.types import Array, Mask
 
 _TRAIL = 30  # frames of the past that a track shows
 _COLUMNS = 4
+_WHITE = (255, 255, 255)
 
 
 def overlay(image: Frames, trails: Array, confidence: Array | None = None) -> Frames:
@@ -28,8 +30,10 @@ def overlay(image: Frames, trails: Array, confidence: Array | None = None) -> Fr
     for number in range(trails.shape[1]):
         rgb = tuple(int(255 * value) for value in to_rgb(COLOURS[number % len(COLOURS)]))
         trail = trails[:, number].round().astype(np.int32)
-        cv2.polylines(canvas, [trail], isClosed=False, color=rgb, thickness=thickness, lineType=cv2.LINE_AA)
+        for colour, width in ((_WHITE, thickness + 2), (rgb, thickness)):  # seen on any ground
+            cv2.polylines(canvas, [trail], isClosed=False, color=colour, thickness=width, lineType=cv2.LINE_AA)
         seen = confidence is None or confidence[number] > 0
+        cv2.circle(canvas, trail[-1].tolist(), 3 * thickness + 1, _WHITE, -1 if seen else thickness + 2, cv2.LINE_AA)
         cv2.circle(canvas, trail[-1].tolist(), 3 * thickness, rgb, -1 if seen else thickness, cv2.LINE_AA)
     return canvas
 
@@ -84,8 +88,11 @@ def track_sheet(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Trac
         for number in range(tracks.positions.shape[1]):
             colour, way = COLOURS[number % len(COLOURS)], tracks.positions[: index + 1, number]
             seen = tracks.confidence[index, number] > 0
-            axis.plot(*way.T, color=colour, linewidth=1)
-            axis.scatter(*way[-1], s=22, facecolors=colour if seen else "none", edgecolors=colour)
+            halo = [withStroke(linewidth=2.5, foreground="white")]  # seen on any ground
+            axis.plot(*way.T, color=colour, linewidth=1.2, path_effects=halo)
+            axis.scatter(
+                *way[-1], s=26, facecolors=colour if seen else "none", edgecolors=colour, path_effects=halo, zorder=3
+            )
         axis.set(xlim=(0, width), ylim=(height, 0))
         axis.set_title(f"{tracks.times[index]:.2f} s, seen {tracks.confidence[index].mean():.0%}", fontsize=9)
     for axis in axes:
@@ -96,7 +103,7 @@ def track_sheet(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Trac
 def draw_object(path: Path, image: Frames, mask: Mask) -> Path:
     """Write a picture of an image (H, W, 3) with the outline of an object (H, W), and its pixels along the sides."""
     height, width = mask.shape
-    figure = Figure(figsize=(8.0, 8.0 * height / width + 0.4), layout="constrained")
+    figure = Figure(figsize=(8.0, 7.4 * height / width + 0.5), layout="constrained")
     axis = figure.subplots()
     axis.imshow(image, extent=(0, width, height, 0))
     for colour, thickness in (("white", 3.0), (COLOURS[0], 1.2)):  # seen on any ground
