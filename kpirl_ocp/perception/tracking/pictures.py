@@ -27,14 +27,15 @@ def overlay(image: Frames, trails: Array, confidence: Array | None = None) -> Fr
     """An image (H, W, 3) with the paths (t, K, 2) [pixels] of keypoints up to now; a ring is one that is not seen."""
     canvas = np.ascontiguousarray(image).copy()
     thickness = max(1, round(max(image.shape[:2]) / 400))
-    for number in range(trails.shape[1]):
-        rgb = tuple(int(255 * value) for value in to_rgb(COLOURS[number % len(COLOURS)]))
-        trail = trails[:, number].round().astype(np.int32)
-        for colour, width in ((_WHITE, thickness + 2), (rgb, thickness)):  # seen on any ground
-            cv2.polylines(canvas, [trail], isClosed=False, color=colour, thickness=width, lineType=cv2.LINE_AA)
-        seen = confidence is None or confidence[number] > 0
-        cv2.circle(canvas, trail[-1].tolist(), 3 * thickness + 1, _WHITE, -1 if seen else thickness + 2, cv2.LINE_AA)
-        cv2.circle(canvas, trail[-1].tolist(), 3 * thickness, rgb, -1 if seen else thickness, cv2.LINE_AA)
+    seen = np.ones(trails.shape[1], bool) if confidence is None else confidence > 0
+    colours = [tuple(int(255 * value) for value in to_rgb(colour)) for colour in COLOURS]
+    for rim in (1, 0):  # a white one below all of them: seen on any ground
+        for number, trail in enumerate(trails.round().astype(np.int32).swapaxes(0, 1)):
+            rgb, width = _WHITE if rim else colours[number % len(colours)], thickness + 2 * rim
+            line = np.ascontiguousarray(trail)
+            cv2.polylines(canvas, [line], isClosed=False, color=rgb, thickness=width, lineType=cv2.LINE_AA)
+            filled = -1 if seen[number] else width
+            cv2.circle(canvas, line[-1].tolist(), 3 * thickness + rim, rgb, filled, cv2.LINE_AA)
     return canvas
 
 
