@@ -145,16 +145,7 @@ def read_tracks(path: str | Path, *, rate: float | None = None, size: tuple[int,
     Raises:
         FileError: the file is missing, has another layout, or no times and no rate.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileError(f"there are no tracks {path}.")
-    if path.suffix.lower() == ".csv":
-        positions, confidence, times = _from_csv(path, rate)
-        known = size
-    elif path.suffix.lower() == ".npz":
-        positions, confidence, times, known = _from_npz(path, size)
-    else:
-        raise FileError(f"{path}: tracks come as .npz or .csv.")
+    positions, confidence, times, known = _content(Path(path), rate, size)
     if times is None:
         if rate is None:
             raise FileError(f"{path} has no times: say the frame rate of the film (--source-rate).")
@@ -169,11 +160,22 @@ def read_tracks(path: str | Path, *, rate: float | None = None, size: tuple[int,
 
 
 def own_rate(path: str | Path) -> float | None:
-    """Frames a second [Hz] of tracks that can be read; None if their file has no times."""
-    try:
-        return read_tracks(path, size=(1, 1)).rate
-    except FileError:
-        return None
+    """Frames a second [Hz] of tracks; None if their file has no times. Raises FileError as `read_tracks` does."""
+    times = _content(Path(path), None, None)[2]
+    return None if times is None else read_tracks(path, size=(1, 1)).rate
+
+
+def _content(
+    path: Path, rate: float | None, size: tuple[int, int] | None
+) -> tuple[Array, Array, Array | None, tuple[int, int] | None]:
+    """Positions, confidence, times and the size of frames, the last two as far as they are known."""
+    if not path.is_file():
+        raise FileError(f"there are no tracks {path}.")
+    if path.suffix.lower() == ".csv":
+        return *_from_csv(path, rate), size
+    if path.suffix.lower() == ".npz":
+        return _from_npz(path, size)
+    raise FileError(f"{path}: tracks come as .npz or .csv.")
 
 
 def _from_npz(path: Path, size: tuple[int, int] | None) -> tuple[Array, Array, Array | None, tuple[int, int] | None]:
