@@ -115,6 +115,9 @@ def test_gradient_steps_that_diverge_have_no_derivative_and_say_so():
     seen = Demonstration([0.0], [], np.zeros((2, 1)))
     with pytest.raises(CertificateError, match="NaN or infinite"):
         plan_jacobian(problem, seen, [0.2], Unrolled(solver))
+    found = plan_jacobian(problem, seen, [0.2], Unrolled(solver, policy="flag"))
+    assert not found.certified
+    assert np.isnan(found.jacobian).all()
     with pytest.raises(ProblemError, match="finite and can be differentiated"):
         identify(problem, [seen], [0.2], noise=0.1, method=Unrolled(solver, policy="flag"))
 

@@ -23,6 +23,7 @@ from kpirl_ocp.irl.hypergradients.unrolled import Unrolled, gradient_alone
 from kpirl_ocp.ocp.problem.layout import split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import solve_and_linearise
+from kpirl_ocp.ocp.sensitivity.certificate import Certificate, require
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
 from kpirl_ocp.types import Array, Demonstration, Solution, Trajectory
 
@@ -65,6 +66,8 @@ def plan_jacobian(problem: OCP, demonstration: Demonstration, psi: ArrayLike, me
 def _converged(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method: Implicit) -> PlanJacobian:
     numbers = demonstration.s0, psi, demonstration.context
     solution, derivatives = solve_and_linearise(method.inner, problem, *numbers)
+    if not np.isfinite(observed(problem, solution.states)).all():
+        return _none(problem, solution, method.policy)
     combined = _Planned(problem, demonstration, solution).combined()
     result = enforce(method.policy, differentiate(problem, combined, solution, derivatives=derivatives))
     function, fixed = ImplicitFunction.at(problem, solution), (np.zeros(problem.n_states), np.zeros(problem.n_context))
@@ -78,6 +81,8 @@ def _converged(problem: OCP, demonstration: Demonstration, psi: ArrayLike, metho
 
 def _unrolled(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method: Unrolled) -> PlanJacobian:
     plan = method.solver.solve(problem, demonstration.s0, psi, demonstration.context)
+    if not np.isfinite(observed(problem, plan.states)).all():
+        return _none(problem, plan, method.policy)
     planned, unrolled = _Planned(problem, demonstration, plan), replace(method, loss=squared_distance)
     certificate = unrolled(problem, planned.combined(), psi).certificate
     rows = [
@@ -87,16 +92,23 @@ def _unrolled(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method
     return PlanJacobian(plan.trajectory, observed(problem, plan.states), jacobian, certificate.certified)
 
 
+def _none(problem: OCP, plan: Solution, policy: str) -> PlanJacobian:
+    """NaN, flagged; CertificateError under another policy."""
+    failure = "The plan or its observations are NaN or infinite: look at the solution's status and the dynamics."
+    require(policy, Certificate(solution=plan, failures=(failure,)), "the plan's derivative")
+    seen = observed(problem, plan.states)
+    return PlanJacobian(plan.trajectory, seen, np.full((len(seen), problem.n_parameters), np.nan), certified=False)
+
+
 class _Planned:
     """Demonstrations beside a plan, so that losses have gradients that are parts of dz/dpsi.
 
-    observations: (T+1, n_z) of the plan; zeros if they are not finite, which the plan's certificate says.
+    observations: (T+1, n_z) of the plan, which are finite.
     """
 
     def __init__(self, problem: OCP, demonstration: Demonstration, plan: Solution) -> None:
         self._start = demonstration
-        planned = problem.observe(plan.states.T).full().T
-        self.observations = planned if np.isfinite(planned).all() else np.zeros(planned.shape)
+        self.observations = problem.observe(plan.states.T).full().T
 
     def beside(self, direction: Array) -> Demonstration:
         """Of which the loss has the gradient (dz/dpsi)^T direction (T n_z,)."""
