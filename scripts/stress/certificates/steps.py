@@ -61,7 +61,8 @@ def _ends(values: np.ndarray) -> bool:
 def is_slope_of_the_steps(case: Case, gradient: np.ndarray, solver: GradientDescent) -> bool:
     """Whether a gradient (n_psi,) is the slope to both sides of what gradient descent makes of psi, at one small step.
 
-    Steps that end before the minimum have a derivative of their own, which is what is certified of them.
+    Steps that end before the minimum have a derivative of their own, which is what is certified of them. The shortest
+    step was added when one certified case had been counted as wrong without it: of that case it is no evidence.
     """
     value = _loss_after(case, solver)
     centre, unit = value(case.psi), np.maximum(1e-3, np.abs(case.psi))
