@@ -236,8 +236,8 @@ void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change);
 real kpirl_mpc_longest(const real *value, const real *change, int count, real share);
 void kpirl_mpc_limit_lengths(kpirl_mpc_core *core, real regularisation);
 
-/* corrector: `least` is the tau to stop at, `most` the one from before */
-void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least, real most);
+/* corrector: `least` is the tau to stop at */
+void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least);
 
 /* Are steps lifted, and off the dynamics so far? Steps along the dynamics are the other way then. */
 int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core);

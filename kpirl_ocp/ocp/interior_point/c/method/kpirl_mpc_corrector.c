@@ -35,10 +35,11 @@ static real complementarity_after(const kpirl_mpc_core *core, const kpirl_mpc_it
   return sum / m;
 }
 
-/* A first step towards tau = least shows how small mu can become while y and z stay positive; then tau = mu (mu_first / mu)^3
- * within [least, most], and y dz + z dy + dy_first dz_first = tau - y z with the same factors. The correction supposes that
- * most of the first step can be taken, and is left out where the latter is not so. */
-static void predict(kpirl_mpc_core *core, real least, real most) {
+/* A first step towards tau = least shows how small mu can become while y and z stay positive; then tau = mu (mu_first / mu)^3 or
+ * `least`, more than before where products have grown; a tau that the problem is solved for stays. And
+ * y dz + z dy + dy_first dz_first = tau - y z with the same factors. The correction supposes that most of the first step can be
+ * taken, and is left out where the latter is not so. */
+static void predict(kpirl_mpc_core *core, real least) {
   static const lengths none = {0, 0};
   const int m = kpirl_mpc_n_inequalities(core);
   const kpirl_mpc_iterate *first = &core->first.change;
@@ -49,7 +50,7 @@ static void predict(kpirl_mpc_core *core, real least, real most) {
   length = to_the_boundary(core, first);
   mu = complementarity_after(core, first, none);
   share = complementarity_after(core, first, length) / mu;
-  core->step.tau = kpirl_mpc_larger(least, kpirl_mpc_smaller(most, mu * share * share * share));
+  core->step.tau = core->options.barrier > 0 ? least : kpirl_mpc_larger(least, mu * share * share * share);
   believed = kpirl_mpc_smaller(length.primal, length.dual) > CORRECTED;
   for (i = 0; i < m; ++i) core->target[i] = core->step.tau - (believed ? first->y[i] * first->z[i] : 0);
 }
@@ -90,14 +91,14 @@ static void correct_centrality(kpirl_mpc_core *core) {
   }
 }
 
-void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least, real most) {
+void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least) {
   const int m = kpirl_mpc_n_inequalities(core);
   int i;
   core->step.tau = least;
   core->step.positive = kpirl_mpc_factorise(core, 0);
   if (!core->step.positive) return;
   for (i = 0; i < m; ++i) core->target[i] = least;
-  if (m > 0) predict(core, least, most);
+  if (m > 0) predict(core, least);
   kpirl_mpc_step_to_target(core, &core->step.change);
   if (m > 0) correct_centrality(core);
   kpirl_mpc_limit_lengths(core, 0);

@@ -200,6 +200,16 @@ static void begin_again(kpirl_mpc_core *core) {
   kpirl_mpc_begin_here(core, kpirl_mpc_start_tau(core));
 }
 
+/* Lifted from the guess, with the costates that are stationary there: its Hessian is that of the problem, and steps are short where
+ * that is not positive. */
+static kpirl_mpc_status follow_costates(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
+  begin(core, guess, LIGHT);
+  kpirl_mpc_estimate_costates(core);
+  core->no_costates = 0;
+  kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
+  return converge_restoring(core);
+}
+
 /* Along the dynamics from the guess; where that takes long, with multipliers of the barrier. */
 static kpirl_mpc_status follow_dynamics(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
   const int most = core->options.max_iterations, left = most - core->iterations;
@@ -213,7 +223,7 @@ static kpirl_mpc_status follow_dynamics(kpirl_mpc_core *core, const kpirl_mpc_st
   return converge_restoring(core);
 }
 
-/* With lifted steps; where they get stuck, with steps along the dynamics: from there if there was a step, which led nowhere, then
+/* With lifted steps; where they get stuck, once more with costates; then with steps along the dynamics: from there if there was a step, which led nowhere, then
  * from the guess, and then from where its actions lead. A warm start that gets stuck begins again first, cold, from its
  * trajectory. */
 static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
@@ -229,6 +239,8 @@ static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start)
     begin(core, start, LIGHT);
   }
   status = converge_restoring(core);
+  if (!given_up(core, status)) return status;
+  status = follow_costates(core, start);
   if (!given_up(core, status)) return status;
   core->lifted = 0;
   if (status == KPIRL_MPC_STALLED && core->step.positive) {

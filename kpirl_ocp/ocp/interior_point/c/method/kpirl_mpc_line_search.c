@@ -132,11 +132,11 @@ int kpirl_mpc_newton_iterate(kpirl_mpc_core *core, int indefinite) {
 int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least) {
   core->trials = 0;
   least = kept_tau(core, least);
-  kpirl_mpc_corrected_step(core, least, kpirl_mpc_larger(core->tau, least));
+  kpirl_mpc_corrected_step(core, least);
   if (core->no_costates && !core->step.positive) {
     kpirl_mpc_estimate_costates(core);
     kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
-    kpirl_mpc_corrected_step(core, least, kpirl_mpc_larger(core->tau, least));
+    kpirl_mpc_corrected_step(core, least);
   }
   core->no_costates = 0;
   if (core->step.positive) {

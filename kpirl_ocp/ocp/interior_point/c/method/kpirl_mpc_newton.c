@@ -71,36 +71,64 @@ int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
   return all_positive(factors->free_pivots, n_free);
 }
 
-/* The step for these factors and core->target, what y z is to become. */
-void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
-  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_w = kpirl_mpc_n_point(core);
-  const int n_h = DIM(core, n_path), n_e = DIM(core, n_equality), n_hT = DIM(core, n_terminal);
-  const int n_eT = DIM(core, n_terminal_equality), m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+/* The change of x and costates where forces of inequalities are core->force and equalities have multipliers nu. */
+static void solve_stages(kpirl_mpc_core *core, const real *nu, kpirl_mpc_iterate *change) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_c = kpirl_mpc_n_equalities(core);
   const kpirl_mpc_derivatives *d = &core->d;
-  const kpirl_mpc_iterate *at = &core->at;
   real *fixing = change->nu;
   int i;
-  for (i = 0; i < m; ++i) core->force[i] = core->target[i] / at->y[i] + core->weights[i] * (d->g[i] + at->y[i]);
-  for (i = 0; i < n_c; ++i) fixing[i] = at->nu[i] + (core->penalty > 0 ? 0 : d->c[i] * core->stiffness[i]);
-  memcpy(core->right, d->slope, (size_t)n_w * sizeof(real));
+  for (i = 0; i < n_c; ++i) fixing[i] = nu[i] + (core->penalty > 0 ? 0 : d->c[i] * core->stiffness[i]);
+  memcpy(core->right, d->slope, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
   kpirl_mpc_push_bounds(core, core->force, fixing, core->right);
-  kpirl_mpc_path_push(core, d->G, n_h, n_hT, core->force + kpirl_mpc_n_bounds(core), core->right);
-  kpirl_mpc_path_push(core, d->E, n_e, n_eT, fixing + core->n_fixed, core->right);
+  kpirl_mpc_path_push(core, d->G, DIM(core, n_path), DIM(core, n_terminal), core->force + kpirl_mpc_n_bounds(core), core->right);
+  kpirl_mpc_path_push(core, d->E, DIM(core, n_equality), DIM(core, n_terminal_equality), fixing + core->n_fixed, core->right);
   kpirl_mpc_substitute(T, n_s, n_u, core->bounds.n_free, core->bounds.free_entries, d->F, &core->factors, core->right,
                        d->defects, d->gap, core->scratch, change->x, change->costates);
+}
+
+/* (c + E dx) / delta: by how much the multipliers of equalities change. */
+static void push_equalities(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
+  const int n_c = kpirl_mpc_n_equalities(core), n_fixed = core->n_fixed;
+  const kpirl_mpc_derivatives *d = &core->d;
+  int i;
+  memcpy(change->nu, d->c, (size_t)n_c * sizeof(real));
+  for (i = 0; i < n_fixed; ++i) change->nu[i] += change->x[core->fixed[i]];
+  kpirl_mpc_path_times(core, d->E, DIM(core, n_equality), DIM(core, n_terminal_equality), change->x, change->nu + n_fixed);
+  for (i = 0; i < n_c; ++i) change->nu[i] *= core->stiffness[i];
+}
+
+/* A change of nu leaves delta times it of equalities: where that is too much, once more from there, with the same factors. */
+static void solve_with_equalities(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
+  const int n_c = kpirl_mpc_n_equalities(core);
+  const real enough = (real)core->options.tolerance / 10;
+  real *nu = core->trial.nu;
+  int i;
+  solve_stages(core, core->at.nu, change);
+  push_equalities(core, change);
+  if (core->penalty > 0 || !(KPIRL_MPC_PROXIMAL * kpirl_mpc_largest(change->nu, n_c) > enough)) return;
+  for (i = 0; i < n_c; ++i) nu[i] = core->at.nu[i] + change->nu[i];
+  solve_stages(core, nu, change);
+  push_equalities(core, change);
+  for (i = 0; i < n_c; ++i) change->nu[i] += nu[i] - core->at.nu[i];
+}
+
+/* The step for these factors and core->target, what y z is to become. */
+void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
+  const int m = kpirl_mpc_n_inequalities(core), bounds = kpirl_mpc_n_bounds(core);
+  const kpirl_mpc_derivatives *d = &core->d;
+  const kpirl_mpc_iterate *at = &core->at;
+  int i;
+  for (i = 0; i < m; ++i) core->force[i] = core->target[i] / at->y[i] + core->weights[i] * (d->g[i] + at->y[i]);
+  solve_with_equalities(core, change);
   for (i = 0; i < core->n_lower; ++i) change->z[i] = -change->x[core->lower[i]];
   for (i = 0; i < core->n_upper; ++i) change->z[core->n_lower + i] = change->x[core->upper[i]];
-  memset(change->z + kpirl_mpc_n_bounds(core), 0, (size_t)(m - kpirl_mpc_n_bounds(core)) * sizeof(real));
-  kpirl_mpc_path_times(core, d->G, n_h, n_hT, change->x, change->z + kpirl_mpc_n_bounds(core)); /* dg, so far */
+  memset(change->z + bounds, 0, (size_t)(m - bounds) * sizeof(real));
+  kpirl_mpc_path_times(core, d->G, DIM(core, n_path), DIM(core, n_terminal), change->x, change->z + bounds); /* dg, so far */
   for (i = 0; i < m; ++i) {
     const real dg = change->z[i];
     change->y[i] = -(d->g[i] + at->y[i]) - dg;
     change->z[i] = core->force[i] + core->weights[i] * dg - at->z[i];
   }
-  for (i = 0; i < core->n_fixed; ++i) change->nu[i] = (d->c[i] + change->x[core->fixed[i]]) * core->stiffness[i];
-  memcpy(change->nu + core->n_fixed, d->c + core->n_fixed, (size_t)(n_c - core->n_fixed) * sizeof(real));
-  kpirl_mpc_path_times(core, d->E, n_e, n_eT, change->x, change->nu + core->n_fixed);
-  for (i = core->n_fixed; i < n_c; ++i) change->nu[i] *= core->stiffness[i];
 }
 
 /* The longest step in (0, 1] that keeps value + length * change at least (1 - share) value; value > 0. */

@@ -9,6 +9,7 @@
 static const real LARGEST = (real)1e3; /* costates, relative to the gradient */
 static const real START = (real)0.1;   /* tau of a cold start, see start_tau */
 static const int DOUBLED = 9;          /* how often multipliers of bounds of a cold start are, until the Hessian is positive */
+static const real USELESS = (real)0.01; /* length of a first step with light multipliers */
 static const real PUSH = (real)0.4; /* how far a cold start is moved inside its bounds, relative to size and distance */
 
 /* x inside its bounds (Waechter and Biegler, 2006, section 3.6), and onto them where they coincide. */
@@ -156,13 +157,22 @@ static void guess_light_multipliers(kpirl_mpc_core *core) {
   for (i = 0; i < bounds; ++i) core->at.z[i] = work / ((real)(n_w - n_s) * slack[bounded_entry(core, i) % n_x]);
 }
 
-/* The light multipliers of bounds, or as much larger ones as make the Hessian positive; returns whether some of them do. */
+/* Can a first step towards tau = 0 be taken, but for a useless part of it? Else multipliers leave a linear cost without curvature. */
+static int leaves_room(kpirl_mpc_core *core) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  memset(core->target, 0, (size_t)m * sizeof(real));
+  kpirl_mpc_step_to_target(core, &core->step.change);
+  return kpirl_mpc_longest(core->at.y, core->step.change.y, m, 1) >= USELESS;
+}
+
+/* The light multipliers of bounds, or as much larger ones as make the Hessian positive; returns whether some of them do, and
+ * leave room for a step. */
 static int find_light_multipliers(kpirl_mpc_core *core) {
   const int bounds = kpirl_mpc_n_bounds(core);
   int i, doubled;
   guess_light_multipliers(core);
   for (doubled = 0; core->at.z[0] > 0 && doubled <= DOUBLED; ++doubled) {
-    if (kpirl_mpc_factorise(core, 0)) return 1;
+    if (kpirl_mpc_factorise(core, 0)) return leaves_room(core);
     for (i = 0; i < bounds; ++i) core->at.z[i] *= 2;
   }
   return 0;

@@ -7,6 +7,7 @@
 #include <string.h>
 
 static const real REMAINDER = (real)0.1;  /* a trial may end this much closer to the boundary than its linearisation */
+static const real CENTRAL = (real)1e-3;   /* slack * multiplier of h, relative to tau */
 static const real CENTRE = (real)1e10;    /* slack * multiplier stays within this factor of tau */
 
 /* Lifted: x + length dx, as in multiple shooting, with the defects that the dynamics leave there. Else along the dynamics. */
@@ -75,15 +76,19 @@ real kpirl_mpc_hard_log_sum(const kpirl_mpc_core *core, const real *y) {
   return sum;
 }
 
-/* Slacks no smaller than what is left of the constraint, and multipliers near tau / y. */
+/* Slacks no smaller than what is left of the constraint, and multipliers near tau / y. Slacks of h also come no closer to zero than
+ * central ones, as long as that violates h by less than is tolerated: weights z / y near 1 / rounding leave no digit of the rest. */
 void kpirl_mpc_centre(kpirl_mpc_core *core) {
-  const int m = kpirl_mpc_n_inequalities(core);
+  const int m = kpirl_mpc_n_inequalities(core), bounds = kpirl_mpc_n_bounds(core);
+  const real tolerated = (real)core->options.tolerance / 10;
   kpirl_mpc_iterate *at = &core->at;
   int i;
   for (i = 0; i < m; ++i) {
     const real g = core->d.g[i];
     real centred;
     at->y[i] = isnan(g) ? g : kpirl_mpc_larger(at->y[i], -g);
+    if (i >= bounds && at->z[i] > 0)
+      at->y[i] = kpirl_mpc_larger(at->y[i], kpirl_mpc_smaller(CENTRAL * core->tau / at->z[i], tolerated));
     centred = core->tau / at->y[i];
     if (at->z[i] < centred / CENTRE) at->z[i] = centred / CENTRE;
     if (at->z[i] > centred * CENTRE) at->z[i] = centred * CENTRE;
