@@ -21,6 +21,7 @@ from stress.peers import casadi_sensitivities
 from stress.peers.program import Program
 from stress.peers.rates import Answer, answer
 from stress.settings import PROFILES
+from stress.starts import board
 from stress.statuses import confirmed
 
 from kpirl_ocp import FiniteDifference, Implicit, Ipopt, Status, Unrolled
@@ -160,6 +161,28 @@ def test_statuses_of_random_problems_are_confirmed():
     assert wrong == []
     for name in ("Riccati", "Ipopt"):
         assert counts[name][confirmed.COLUMNS[0]] >= 0.9 * QUICK.statuses
+
+
+@pytest.mark.parametrize("name", ["pendulum swing-up", "LQR, bounds on states too", "unicycle, parking"])
+def test_nothing_that_ipopt_solves_from_a_noisy_start_is_lost(name):
+    found = board.summary(board.race(range(8), [name])[name])
+    assert (found["starts"], found["lost"], found["won"]) == (8, 0, 0)
+    assert found["mean"] < 0.9
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [("quadrotor", 0), ("quadrotor", 24), ("rocket landing in a cone", 35), ("chain of masses", 35)],
+)
+def test_starts_that_were_lost_are_solved(name, seed):
+    """Tumbling through gimbal lock, which takes costates; and slacks far below what is tolerated of a violation."""
+    ((ours, theirs),) = board.race([seed], [name])[name]
+    assert ours.converged
+    assert theirs.converged
+
+
+def test_seeds_that_are_reported_are_not_those_to_develop_on():
+    assert board.REPORTED > 1000
 
 
 def test_memory_and_handles_of_one_process_stay_flat():

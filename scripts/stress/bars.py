@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 _HEALTHY, _MEGABYTES = 0.95, 20.0
+_MEAN = 0.7  # of iterations, relative to Ipopt's
 
 
 def broken(numbers: dict[str, Any]) -> list[str]:
@@ -17,6 +18,9 @@ def broken(numbers: dict[str, Any]) -> list[str]:
         found.append(f"only {100 * contest['healthy']:.1f} % of the healthy cases are certified.")
     if statuses and statuses["wrong"]:
         found.append(f"statuses that are not confirmed: {statuses['wrong']}.")
+    starts = numbers.get("starts", {}).get("all")
+    if starts and (starts["lost"] or starts["many"] or not starts["mean"] <= _MEAN):
+        found.append(f"iterations from noisy starts: {starts}.")
     for name, life in numbers.get("lives", {}).items():
         if life["end"] - life["middle"] > _MEGABYTES or life["handles"] > 0:
             found.append(f"{name}: memory or open files grow: {life}.")

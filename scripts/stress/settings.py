@@ -8,6 +8,7 @@ class Profile:
     """cases: of the contest; peers take every `every`-th of them, other methods `others`.
 
     kills: of each program. solves, problems: in one process. statuses: random problems.
+    starts: noisy ones of each system.
     """
 
     cases: int
@@ -17,9 +18,12 @@ class Profile:
     solves: int
     problems: int
     statuses: int
+    starts: int
 
 
 PROFILES = {
-    "quick": Profile(cases=300, every=10, others=20, kills=2, solves=1_000, problems=30, statuses=30),
-    "full": Profile(cases=10_000, every=5, others=1_000, kills=20, solves=100_000, problems=1_000, statuses=1_000),
+    "quick": Profile(cases=300, every=10, others=20, kills=2, solves=1_000, problems=30, statuses=30, starts=1),
+    "full": Profile(
+        cases=10_000, every=5, others=1_000, kills=20, solves=100_000, problems=1_000, statuses=1_000, starts=20
+    ),
 }

@@ -19,12 +19,14 @@ from stress.kills import campaign
 from stress.lives import memory
 from stress.peers import rates
 from stress.settings import PROFILES
+from stress.starts import board
 from stress.statuses import confirmed
 
 PARTS = {
     "certificates": contest.measure,
     "peers": rates.measure,
     "statuses": confirmed.measure,
+    "starts": board.measure,
     "lives": memory.measure,
     "kills": campaign.measure,
 }

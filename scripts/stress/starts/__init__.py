@@ -1,0 +1,1 @@
+"""Iterations from noisy starts, beside Ipopt's."""

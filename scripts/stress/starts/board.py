@@ -1,0 +1,78 @@
+"""Iterations of `Riccati` and `Ipopt` from the same noisy starts: their ratio, and what one of them loses."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from bench.part import Part, Table
+from tqdm import tqdm
+
+from kpirl_ocp import Ipopt, Riccati, Status
+from stress.settings import Profile
+from stress.starts.systems import SYSTEMS
+
+REPORTED = 100_000  # seeds from here on are reported; those below are there to develop on
+MANY = 1.5  # times as many iterations as Ipopt
+_NOTE = (
+    "Seeds from {first} on; the solver is developed on others. s_0 is moved by a tenth of the sizes that states have "
+    "in the plan, the guess by noise of 0, 0.1, 0.3 and 1 times the sizes of states and actions at every stage. "
+    "Ratios are of the starts from which both converge. Lost: only Ipopt does; won: only Riccati."
+)
+
+
+class Run(NamedTuple):
+    """Iterations, and whether it converged."""
+
+    iterations: int
+    converged: bool
+
+
+def measure(profile: Profile) -> Part:
+    """Ratios of iterations by system, at seeds that are reported."""
+    pairs = race(range(REPORTED, REPORTED + profile.starts))
+    numbers = {name: summary(found) for name, found in pairs.items()}
+    numbers["all"] = summary([pair for found in pairs.values() for pair in found])
+    header = ["system", "starts", "both converge", "mean ratio", f"above {MANY}", "largest", "lost", "won"]
+    keys = ["starts", "both", "mean", "many", "largest", "lost", "won"]
+    rows = [[name, *(_cell(row[key]) for key in keys)] for name, row in numbers.items()]
+    note = _NOTE.format(first=REPORTED)
+    return Part(numbers, [Table("Iterations from noisy starts, Riccati / Ipopt", header, rows, note)])
+
+
+def race(seeds: Iterable[int], names: Iterable[str] = SYSTEMS) -> dict[str, list[tuple[Run, Run]]]:
+    """Runs of `Riccati` and `Ipopt` from each start of each system."""
+    systems = {name: SYSTEMS[name]() for name in names}
+    starts = [(name, seed) for name in systems for seed in seeds]
+    pairs: dict[str, list[tuple[Run, Run]]] = {name: [] for name in systems}
+    for name, seed in tqdm(starts, "starts", unit="start"):
+        system = systems[name]
+        s0, guess = system.start(seed)
+        runs = []
+        for solver in (Riccati(), Ipopt()):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                plan = solver.solve(system.problem, s0, *system.numbers, guess=guess)
+            runs.append(Run(plan.iterations, plan.status is Status.CONVERGED))
+        pairs[name].append((runs[0], runs[1]))
+    return pairs
+
+
+def summary(pairs: list[tuple[Run, Run]]) -> Mapping[str, Any]:
+    """Counts, and the geometric mean and the largest of the ratios of iterations; NaN where there is none."""
+    ratios = [ours.iterations / theirs.iterations for ours, theirs in pairs if ours.converged and theirs.converged]
+    return {
+        "starts": len(pairs),
+        "both": len(ratios),
+        "mean": float(np.exp(np.mean(np.log(ratios)))) if ratios else np.nan,
+        "largest": max(ratios, default=np.nan),
+        "many": sum(ratio > MANY for ratio in ratios),
+        "lost": sum(theirs.converged and not ours.converged for ours, theirs in pairs),
+        "won": sum(ours.converged and not theirs.converged for ours, theirs in pairs),
+    }
+
+
+def _cell(number: float) -> str:
+    return f"{number:.2f}" if isinstance(number, float) else str(number)
