@@ -17,7 +17,7 @@ from kpirl_ocp.perception.data.video import iterate_frames
 from kpirl_ocp.perception.tracking import objects
 from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, refusal
 from kpirl_ocp.perception.tracking.appearance import Memory, Views
-from kpirl_ocp.perception.tracking.lookalikes import Lookalikes
+from kpirl_ocp.perception.tracking.identity.lookalikes import Lookalikes
 from kpirl_ocp.perception.tracking.pictures import at_times, overlays, track_film, track_sheet
 from kpirl_ocp.perception.tracking.similarity import fit, transform
 from kpirl_ocp.perception.tracking.tracker import track

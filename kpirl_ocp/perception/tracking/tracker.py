@@ -2,14 +2,15 @@
 
 From frame to frame its points are followed by optical flow, and the pose is the similarity that most of them agree on;
 so points that are lost or hidden are restored by the others. A pose counts only if enough points also look as they
-should. An object that is lost is found again with the flow from earlier frames, or with its picture in the
-neighbourhood; where several places look alike, none is believed. Until then it is where its outline is, if that is
-clear, and else where it was; no point counts as found.
+should. What looks the same is followed, too, and where the ways do not tell which of them is the object, it does not
+count as found from then on. An object that is lost is found again with the flow from earlier frames, or with its
+picture in the neighbourhood; where several places look alike, none is believed. Until then it is where its outline is,
+if that is clear, and else where it was; no point counts as found.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,10 +18,11 @@ import numpy as np
 
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.tracking.appearance import Greys, Memory, Views
-from kpirl_ocp.perception.tracking.lookalikes import Lookalikes, candidates
+from kpirl_ocp.perception.tracking.identity.lookalikes import Lookalikes, candidates
+from kpirl_ocp.perception.tracking.identity.twins import Thing, Twins
 from kpirl_ocp.perception.tracking.model import ObjectModel
 from kpirl_ocp.perception.tracking.optical_flow import follow
-from kpirl_ocp.perception.tracking.similarity import fit, scale, transform
+from kpirl_ocp.perception.tracking.similarity import fit, scale, shifted, transform
 from kpirl_ocp.types import Array, Mask
 
 _WINDOWS, _GAPS, _TOLERANCES = (21, 41), (1.0, 2.0), (1.0, 3.0)  # sharp and smooth [pixels]
@@ -33,6 +35,7 @@ _ALIKE = 0.7  # share that looks as remembered from which a frame is a new refer
 _APART, _RIVAL = 15.0, 0.7  # another place [pixels] is a rival with this share of the best one's points
 _MANY = 100  # points with which no more are looked for
 _RESTS = 1.0  # an object that moves less from one frame to the next is not blurred [pixels]
+_EQUAL = 0.3  # share of the points that look as remembered at a twin
 _GROWTH = 1.25  # largest change of scale from one frame to the next
 
 
@@ -87,8 +90,8 @@ class _Tracker:
     """State between frames.
 
     first: the first frame. before: the last one and the pose in it. sure, recent: frames to find the object again from.
-    motion: (3, 3) pose by pose. lost: frames since it was last found. likes: the things that look like it, itself
-    among them.
+    motion: (3, 3) pose by pose. lost: frames since it was last found. likes: the things that have its colours, itself
+    among them. twins: those that look the same in its points.
     """
 
     model: ObjectModel
@@ -98,13 +101,14 @@ class _Tracker:
     sure: Memory
     recent: Memory
     motion: Array
+    twins: Twins
     lost: int = 0
 
     @classmethod
     def start(cls, views: Views, mask: Mask) -> _Tracker:
         first = Memory(views, np.eye(3))
         likes = Lookalikes.of(first, mask)
-        return cls(ObjectModel.of(views, mask), likes, first, first, first, first, np.eye(3))
+        return cls(ObjectModel.of(views, mask), likes, first, first, first, first, np.eye(3), Twins.of(mask))
 
     def located(self, time: float, found: Mask) -> Located:
         pose, model = self.before.pose, self.model
@@ -116,15 +120,53 @@ class _Tracker:
         pose = self.before.pose
         match = self._onward(views) if not self.lost else None
         match = self._anchored(views, match) if match else self._again(views)
+        match = self._told_apart(views, match)
         if match is None:
             self.lost, self.motion = self.lost + 1, np.eye(3)
             outline = self.likes.look(views)
             self.before = Memory(views, pose if outline is None else outline)
             return np.zeros(len(self.model.points), bool)
-        self.likes.see(Memory(views, match.pose), well=match.sharp and match.share >= _TOGETHER)
+        others = self.likes.see(Memory(views, match.pose), well=match.sharp and match.share >= _TOGETHER)
+        self._meet(views, match, others)
         self.motion = np.eye(3) if self.lost else match.pose @ np.linalg.inv(pose)
         self.lost, self.before = 0, Memory(views, match.pose)
-        return self._learn(match)
+        return np.zeros_like(match.found) if self.twins.confused else self._learn(match)
+
+    def _told_apart(self, views: Views, match: _Match | None) -> _Match | None:
+        """The match, unless it is a twin's; where it may be either's, no later frame tells which is which."""
+        twins = self.twins
+        if twins.confused:
+            return match
+        seen = [self._twin(views, twin) for twin in twins.others]
+        for index, at in enumerate(seen):
+            if match is None or at is None or not twins.same(match.pose, at.pose):
+                continue
+            if twins.nearer(match.pose, index):  # claimed twice: what is left of the frame shows the other, or nothing
+                seen[index] = _clear(self._twin(views, twins.others[index], [match.pose]))
+            else:
+                ahead = twins.itself.ahead
+                match = _clear(self._match(views, self.before.views.grey, self.before.pose, ahead, 0, [at.pose]))
+        mine = twins.settle(_pose(match), [_pose(at) for at in seen])
+        return match if mine else None
+
+    def _twin(self, views: Views, twin: Thing, without: Sequence[Array] = ()) -> _Match | None:
+        """A twin, from the frame before if it was seen there, else as the object was seen."""
+        match: _Match | None = None
+        if not twin.unseen:
+            match = self._match(views, self.before.views.grey, twin.pose, twin.ahead, 0, without)
+        return match or self._match(views, self.sure.at(twin.ahead), twin.ahead, twin.ahead, 0, without)
+
+    def _meet(self, views: Views, match: _Match, places: Array) -> None:
+        """Take up twins at places (m, 2): things that look like the object in its points, too."""
+        for offset in self.twins.unknown(match.pose, places):
+            guess = shifted(match.pose, offset)
+            found = self._match(views, self.sure.at(guess), guess, guess, 0, [match.pose])
+            if (
+                found
+                and not self.twins.same(found.pose, match.pose)
+                and found.alike.sum() >= _EQUAL * self.model.in_view(found.pose, views.sharp.shape).sum()
+            ):
+                self.twins.add(found.pose)
 
     def _onward(self, views: Views) -> _Match | None:
         """From the frame before: the better of what the sharp and the smooth view say."""
@@ -167,13 +209,26 @@ class _Tracker:
         ]
         return _unambiguous(matches)
 
-    def _match(self, views: Views, before: Greys, pose_before: Array, guess: Array, level: int) -> _Match | None:
-        """The pose to which flow from an earlier image leads, if enough points agree and look right."""
+    def _match(
+        self,
+        views: Views,
+        before: Greys,
+        pose_before: Array,
+        guess: Array,
+        level: int,
+        without: Sequence[Array] = (),
+    ) -> _Match | None:
+        """The pose to which flow from an earlier image leads, if enough points agree and look right.
+
+        without: poses (3, 3) of other things, whose points are theirs.
+        """
         model, shape = self.model, views.sharp.shape
         chosen = np.flatnonzero(model.in_view(pose_before, shape))
         points = model.points[chosen]
         start, end = transform(pose_before, points), transform(guess, points)
         places, held = follow(before[level], views.grey[level], start, end, _WINDOWS[level], _GAPS[level])
+        for pose in without:
+            held &= np.linalg.norm(transform(pose, points) - places, axis=1) > 2 * _TOLERANCES[level]
         agreed = fit(points[held], places[held], _TOLERANCES[level])
         if agreed is None or not 1 / _GROWTH < scale(agreed[0]) / scale(self.before.pose) < _GROWTH:
             return None
@@ -184,15 +239,18 @@ class _Tracker:
         agree, alike = agree & in_view, alike & in_view
         together = agree.sum() >= _TOGETHER * in_view.sum()
         found = agree if together else alike
-        share = found.sum() / max(1, in_view.sum())
-        return _Match(pose, found, alike, share, level == 0) if found.sum() >= _FEWEST and share >= _SEEN else None
+        share, looks = (points.sum() / max(1, in_view.sum()) for points in (found, alike))
+        return _Match(pose, found, alike, share, level == 0) if found.sum() >= _FEWEST and looks >= _SEEN else None
 
     def _learn(self, match: _Match) -> Mask:
         """Take from the frame what is sure; gives which points were found.
 
-        New points are taken up only where the object rests and most of it agrees, but few points are known or they
-        look otherwise than remembered: new ones inherit the error of the pose in which they are first seen.
+        Nothing is where a twin is near: it may be the twin's. New points are taken up only where the object rests and
+        most of it agrees, but few points are known or they look otherwise than remembered: new ones inherit the error
+        of the pose in which they are first seen.
         """
+        if self.twins.near(match.pose):
+            return match.found
         views, pose, model = self.before.views, match.pose, self.model
         if match.share > _SEEN + 0.1:
             self.recent = self.before
@@ -204,6 +262,15 @@ class _Tracker:
         if rests and match.share >= _TOGETHER and stale:
             return model.grow(views, pose, match.alike, match.found)
         return match.found
+
+
+def _pose(match: _Match | None) -> Array | None:
+    return None if match is None else match.pose
+
+
+def _clear(match: _Match | None) -> _Match | None:
+    """A match in what another thing leaves of the frame, if it is much of the object."""
+    return match if match and match.share > _SURE else None
 
 
 def _unambiguous(matches: list[_Match]) -> _Match | None:

@@ -50,13 +50,16 @@ class Lookalikes:
     @classmethod
     def of(cls, first: Memory, mask: Mask) -> Lookalikes:
         """The object alone, in the first frame."""
-        place = transform(first.pose, _middle(mask))
+        place = transform(first.pose, middle(mask))
         return cls(mask, first, place[None], np.zeros((1, 2)), np.zeros(1, int))
 
-    def see(self, now: Memory, *, well: bool) -> None:
-        """Follow the others while the object's pose is known; well: most of the object is seen, and sharp."""
+    def see(self, now: Memory, *, well: bool) -> Array:
+        """Follow the others while the object's pose is known; well: most of the object is seen, and sharp.
+
+        Gives the places (m, 2) of its kind that are not the object's.
+        """
         self.memory = now if well else self.memory
-        place = transform(now.pose, _middle(self.mask))
+        place = transform(now.pose, middle(self.mask))
         found = self._detect(now.views)
         others = found[np.linalg.norm(found - place, axis=1) > np.sqrt(self.mask.sum()) / 2]
         chosen = self._assign(self._ways(others)[1:])
@@ -65,6 +68,7 @@ class Lookalikes:
         self.places = np.vstack([self.places[keep], new])
         self.velocities = np.vstack([self.velocities[keep], np.zeros_like(new)])
         self.unseen = np.append(self.unseen[keep], np.zeros(len(new), int))
+        return others
 
     def look(self, views: Views) -> Array | None:
         """The pose (3, 3) of an object whose points are lost; None if it is not seen, or might be another thing."""
@@ -76,11 +80,11 @@ class Lookalikes:
         self._move(found, chosen)
         if chosen[0] < 0:
             return None
-        return shifted(self.memory.pose, self.places[0] - transform(self.memory.pose, _middle(self.mask)))
+        return shifted(self.memory.pose, self.places[0] - transform(self.memory.pose, middle(self.mask)))
 
     def is_other(self, pose: Array) -> bool:
         """Whether it is another thing that is seen at a pose (3, 3) of the object."""
-        gaps = np.linalg.norm(self.places - transform(pose, _middle(self.mask)), axis=1)
+        gaps = np.linalg.norm(self.places - transform(pose, middle(self.mask)), axis=1)
         return bool(((gaps < _CLEAR) & (self.unseen == 0))[1:].any())
 
     def _detect(self, views: Views) -> Array:
@@ -93,7 +97,7 @@ class Lookalikes:
         x, y, w, h = cv2.boundingRect(shape)
         scores = correlations(scene, picture[y : y + h, x : x + w], shape[y : y + h, x : x + w])
         found = peaks(scores, _ALIKE, (round(_OVERLAP * w), round(_OVERLAP * h)))
-        return transform(self.memory.pose, _middle(self.mask)) + COARSE * (found - [x, y])
+        return transform(self.memory.pose, middle(self.mask)) + COARSE * (found - [x, y])
 
     def _ways(self, found: Array) -> Array:
         """Costs (n, m + n) of the places (m, 2) for each thing, and of not being seen."""
@@ -153,6 +157,7 @@ def _clear(ways: Array, place: int, places: int) -> bool:
     return shortest(elsewhere) > shortest(ways) + _CLEAR
 
 
-def _middle(mask: Mask) -> Array:
+def middle(mask: Mask) -> Array:
+    """Middle (2,) [pixels] of an object (H, W)."""
     rows, columns = np.nonzero(mask)
     return np.array([columns.mean(), rows.mean()])
