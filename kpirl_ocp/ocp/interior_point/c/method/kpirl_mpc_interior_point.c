@@ -223,9 +223,9 @@ static kpirl_mpc_status follow_dynamics(kpirl_mpc_core *core, const kpirl_mpc_st
   return converge_restoring(core);
 }
 
-/* With lifted steps; where they get stuck, once more with costates; then with steps along the dynamics: from there if there was a step, which led nowhere, then
- * from the guess, and then from where its actions lead. A warm start that gets stuck begins again first, cold, from its
- * trajectory. */
+/* With lifted steps; where they get stuck, once more with costates; then with steps along the dynamics: from there if there was a
+ * step, which led nowhere, then from the guess, and then from where its actions lead. A warm start that gets stuck begins again
+ * first, cold, from its trajectory. */
 static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   int warm = start->costates != NULL;
   kpirl_mpc_start rolled;
