@@ -137,7 +137,8 @@ real kpirl_mpc_kink_beside(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const k
     const real far = slope_left(k, core, weights, moves, &tangent, here, steps[i], values, work);
     real whole = kpirl_mpc_worse(kpirl_mpc_worse(total, kpirl_mpc_abs(far)), ROUNDING * terms / DIFFERENCE);
     real off = kpirl_mpc_abs(far);
-    if (!(plan_left(k, &tangent, at, values, &of_tangent) <= CURVED)) return (real)INFINITY;
+    const real turned = plan_left(k, &tangent, at, values, &of_tangent);
+    if (!(turned <= CURVED)) return kpirl_mpc_worse(worst, turned);
     if (off > KPIRL_MPC_NO_KINK * whole && off <= CURVED * total + BENT * terms) {
       const real near = slope_left(k, core, weights, moves, &tangent, here, CLOSER * steps[i], values, work);
       whole = kpirl_mpc_worse(whole, ROUNDING * terms / (CLOSER * DIFFERENCE));

@@ -178,8 +178,9 @@ real kpirl_mpc_weighted_beside(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, c
                                real length, real *values, real *work);
 
 /* How far the slopes of the weighted conditions are from zero, relative to `total`, to both sides along the plan that derivatives
- * predict where the parameters move; what is proportional to the step is curvature. Infinite where the plan itself moves otherwise.
- * left, at, right: conditions where parameters alone have moved, by -1e-6, 0 and 1e-6 of moves. here: the weighted sum. */
+ * predict where the parameters move; what is proportional to the step is curvature. Where the plan itself moves otherwise, by
+ * which share. left, at, right: conditions where parameters alone have moved, by -1e-6, 0 and 1e-6 of moves. here: the weighted
+ * sum. */
 real kpirl_mpc_kink_beside(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
                            const real *left, const real *at, const real *right, real here, real total, real *work);
 
