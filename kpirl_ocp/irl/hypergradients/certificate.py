@@ -6,6 +6,7 @@ method is an object; calling it with a problem, a demonstration and psi gives a 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -52,6 +53,6 @@ def enforce(policy: str, result: HypergradientResult) -> HypergradientResult:
 
 def nonfinite_failures(loss: float, gradient: Array) -> list[str]:
     """One failure message if loss or gradient is not finite, else none."""
-    if np.isfinite(loss) and np.isfinite(gradient).all():
+    if math.isfinite(loss) and np.isfinite(gradient).all():
         return []
     return ["The loss or its gradient is NaN or infinite: look at the solution's status and the dynamics."]

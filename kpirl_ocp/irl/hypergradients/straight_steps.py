@@ -10,12 +10,12 @@ from kpirl_ocp.ocp.problem.linearised_dynamics import depends_on_psi
 from kpirl_ocp.ocp.problem.ocp import OCP
 
 
+@lru_cache(maxsize=64)
 def has_straight_steps(problem: OCP, loss: Loss, clear: bool) -> bool:
     """Are costs and loss quadratic, and the dynamics affine, or a network of which this is clear?"""
     return _quadratic(problem, loss) and (_affine(problem) or (clear and not depends_on_psi(problem.transition)))
 
 
-@lru_cache(maxsize=64)
 def _quadratic(problem: OCP, loss: Loss) -> bool:
     """Are costs and loss quadratic in states and actions together?"""
     after = loss(problem)
@@ -27,7 +27,6 @@ def _quadratic(problem: OCP, loss: Loss) -> bool:
     )
 
 
-@lru_cache(maxsize=64)
 def _affine(problem: OCP) -> bool:
     """Are the dynamics affine in states and actions, and at most quadratic in psi and the context?"""
     return is_quadratic(problem.dynamics) and is_affine_in(problem.dynamics, [0, 1])

@@ -10,6 +10,7 @@ implicit gradient (Shaban et al., Truncated Back-propagation for Bilevel Optimiz
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -182,11 +183,11 @@ def unrolled_gradients(
         for context, output in zip(contexts, _outputs(descents, last, checkpoint), strict=True)
     ]
     wrong = () if passes_agree(problem, len(demonstrations)) else (WRONG_DERIVATIVES,)
-    clear, steady = (all(found) for found in zip(*((sweep.clear, sweep.steady) for sweep in sweeps), strict=True))
-    straight = last == solver.steps and steady and has_straight_steps(problem, loss, clear)
-    move = STEP * direction(numbers)
-    if straight and all(even_in_psi(problem, sweep.certificate.solution, move) for sweep in sweeps):
-        return [sweep.result(0.0, wrong) for sweep in sweeps]
+    steady = last == solver.steps and all(sweep.steady for sweep in sweeps)
+    if steady and has_straight_steps(problem, loss, all(sweep.clear for sweep in sweeps)):
+        move = STEP * direction(numbers)
+        if all(even_in_psi(problem, sweep.certificate.solution, move) for sweep in sweeps):
+            return [sweep.result(0.0, wrong) for sweep in sweeps]
     ends = [
         LossAt(problem, loss, data_of(loss, problem, demonstration), _plan(sweep.certificate.solution))
         for demonstration, sweep in zip(demonstrations, sweeps, strict=True)
@@ -210,7 +211,7 @@ def _outputs(descents: Descents, last: int, checkpoint: bool) -> Array:
     """Outputs of `unrolled_function`, a row for each of the B descents."""
     count = len(descents.observed) // (descents.problem.horizon + 1)
     evaluate = call_function(_function(descents.problem, descents.solver, descents.loss, last, checkpoint, count))
-    psis = np.tile(descents.psi, count)
+    psis = np.concatenate([descents.psi] * count)
     (outputs,) = evaluate(descents.actions, descents.starts, psis, descents.contexts, descents.observed)
     return outputs.reshape(count, -1)
 
@@ -275,7 +276,7 @@ def _failures(
     solution: Solution, loss: float, gradient: Array, remainder: float, kink: float, left_out: int
 ) -> list[str]:
     failures = nonfinite_failures(loss, gradient)
-    if not np.isfinite(solution.objective):
+    if not math.isfinite(solution.objective):
         failures.append("The inner cost is NaN or infinite: look at the solution's status and the cost.")
     if left_out and not remainder <= _REMAINDER:
         failures.append(f"Truncated: the first {left_out} steps are left out, with {remainder:.1e} of the adjoint.")

@@ -103,8 +103,9 @@ class Descents:
 
 def direction(psi: Array) -> Array:
     """(n_psi,) random, always the same, in units of the parameters."""
-    size = np.abs(psi).max(initial=0.0)
-    own = np.maximum(np.abs(psi), SMALL * size) if size > 0 else np.ones(len(psi))
+    sizes = np.abs(psi)
+    largest = sizes.max(initial=0.0)
+    own = np.maximum(sizes, SMALL * largest) if largest > 0 else np.ones(len(psi))
     return own * _shares(len(psi))
 
 

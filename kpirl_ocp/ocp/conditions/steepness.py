@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -36,9 +36,11 @@ def even_in_psi(problem: OCP, solution: Solution, move: Array) -> bool:
     """
     if not math.isfinite(solution.objective):
         return False
-    affine = _affine(problem, _stage), _affine(problem, _end)
-    if not all(coefficients.are_even(solution.psi, move) for coefficients in affine):
+    split = _split(problem)
+    if not split.affine_are_even(solution.psi, move):
         return False
+    if not split.rest:
+        return True
     steps = slice(problem.horizon), solution.states[:-1], solution.actions
     ends = slice(problem.horizon, None), solution.states[-1:]
     return _are_even(problem, _stage, solution, move, *steps) and _are_even(problem, _end, solution, move, *ends)
@@ -56,21 +58,43 @@ class _Affine:
     columns: NDArray[np.int64]
     b: Array
 
-    @cached_property
-    def _proportional(self) -> bool:
+    def proportional(self) -> bool:
         """Is each of them proportional to one parameter, and so changes by the same share as that does?"""
         return not self.a.any() and len(np.unique(self.rows)) == len(self.rows)
 
     def are_even(self, psi: Array, move: Array) -> bool:
         """Do they change by a small share along the move?"""
-        if self._proportional and (np.abs(move) <= _EVEN * np.abs(psi)).all():
-            return True
         return _small(self._times(move), self.a + self._times(psi))
 
     def _times(self, along: Array) -> Array:
         """b times a vector (n_psi,): (stages, entries)."""
         products = np.asarray(np.bincount(self.rows, self.b * along[self.columns], self.a.size), float)
         return products.reshape(self.a.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class _Split:
+    """The coefficients of a problem by kind.
+
+    affine: those of the stages and of the end. proportional: are all of them so? rest: are there others?
+    """
+
+    affine: tuple[_Affine, ...]
+    proportional: bool
+    rest: bool
+
+    def affine_are_even(self, psi: Array, move: Array) -> bool:
+        """Do those that are affine change by a small share along the move?"""
+        if self.proportional and (np.abs(move) <= _EVEN * np.abs(psi)).all():
+            return True
+        return all(coefficients.are_even(psi, move) for coefficients in self.affine)
+
+
+@lru_cache(maxsize=64)
+def _split(problem: OCP) -> _Split:
+    listed = _stage(problem), _end(problem)
+    affine = tuple(map(_affine, listed))
+    return _Split(affine, all(part.proportional() for part in affine), any(of.rest for of in listed))
 
 
 def _small(changes: Array, values: Array) -> bool:
@@ -81,10 +105,8 @@ def _small(changes: Array, values: Array) -> bool:
 Listed = Callable[[OCP], "_Coefficients"]
 
 
-@lru_cache(maxsize=64)
-def _affine(problem: OCP, listed: Listed) -> _Affine:
+def _affine(of: _Coefficients) -> _Affine:
     """At all stages; no compiler is needed, as it is done once."""
-    of = listed(problem)
     numbers = ca.Function("affine", [of.given[-1]], [ca.densify(of.constant), of.slopes])
     a, b = zip(*(numbers(row) for row in of.schedule), strict=True)
     slopes = ca.vertcat(*b)

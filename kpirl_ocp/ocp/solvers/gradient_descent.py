@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import accumulate
 
 import casadi as ca
 import numpy as np
@@ -152,18 +151,15 @@ def audited(
     Residuals are those of the reduced problem: costates make the gradient by the states vanish, the rollout defects.
     """
     steps, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
-    lengths = ((steps + 1) * n_s, steps * n_u, steps * n_u, steps * n_s)
-    states, actions, slope, costates = (
-        point[end - length : end].reshape(-1, columns)
-        for length, end, columns in zip(lengths, accumulate(lengths), (n_s, n_u, n_u, n_s), strict=True)
-    )
-    trajectory, objective = Trajectory(states, actions), float(point[-1])
-    pushing = _bound_multipliers(problem, trajectory.actions, slope)
-    scale = max_or_nan(1.0, largest(slope), largest(costates))
-    residuals = KKTResiduals(largest(slope + pushing), 0.0, 0.0, 0.0, scale)
+    of_states, of_actions = (steps + 1) * n_s, steps * n_u
+    plan, duals, objective = point[: of_states + of_actions], point[of_states + of_actions : -1], float(point[-1])
+    states, actions = plan[:of_states].reshape(-1, n_s), plan[of_states:].reshape(-1, n_u)
+    slope, costates = duals[:of_actions].reshape(-1, n_u), duals[of_actions:].reshape(-1, n_s)
+    pushing = _bound_multipliers(problem, actions, slope)
+    residuals = KKTResiduals(largest(slope + pushing), 0.0, 0.0, 0.0, max_or_nan(1.0, largest(duals)))
     multipliers = Multipliers(costates, np.zeros((steps + 1, n_s)), pushing, np.zeros((steps, 0)))
-    status = _status(trajectory, initial_cost, objective, residuals.worst, solver.tolerance)
-    return Solution(trajectory, multipliers, objective, residuals, status, solver.steps, psi, context)
+    status = _status(plan, initial_cost, objective, residuals.worst, solver.tolerance)
+    return Solution(Trajectory(states, actions), multipliers, objective, residuals, status, solver.steps, psi, context)
 
 
 def _bound_multipliers(problem: OCP, actions: Array, slope: Array) -> Array:
@@ -175,9 +171,8 @@ def _bound_multipliers(problem: OCP, actions: Array, slope: Array) -> Array:
     return np.where(outwards, -slope, 0.0)
 
 
-def _status(trajectory: Trajectory, before: float, objective: float, residual: float, tolerance: float) -> Status:
-    plan = trajectory.states, trajectory.actions
-    if not (math.isfinite(objective) and math.isfinite(residual) and all(np.isfinite(part).all() for part in plan)):
+def _status(plan: Array, before: float, objective: float, residual: float, tolerance: float) -> Status:
+    if not (math.isfinite(objective) and math.isfinite(residual) and np.isfinite(plan).all()):
         return Status.DIVERGED if math.isfinite(before) else Status.NOT_FINITE
     if residual <= tolerance:
         return Status.CONVERGED
