@@ -43,7 +43,7 @@ from kpirl_ocp.perception.scene.camera import Camera
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.perception.tracking.tracks import read_tracks
 from kpirl_ocp.perception.tracking.watch import Film, seen_at_rest
-from kpirl_ocp.types import Demonstration
+from kpirl_ocp.types import Demonstration, Status
 
 CAMERA = Camera()
 PINHOLE = Pinhole(CAMERA.intrinsics, *CAMERA.extrinsics)
@@ -286,6 +286,23 @@ def test_a_learned_cost_says_all_that_planning_with_it_needs(tmp_path, iiwa, lea
     for start in (again.start, again.start + 0.05):
         one, other = plan_from(learned.cost, arm.robot, start), plan_from(again, robot, start)
         np.testing.assert_allclose(other.states, one.states, atol=1e-9)
+
+
+@pytest.mark.parametrize("change", [{"objective": 1e3}, {"status": Status.STALLED}], ids=["dear", "stalled"])
+def test_a_plan_is_the_cheaper_one_of_those_from_rest_and_from_the_learned_start(iiwa, learned, monkeypatch, change):
+    arm, _ = iiwa
+    start = arm.start + 0.05
+    s0, plan, solve = arm.setting.state(arm.robot, start), plan_from(learned.cost, arm.robot, start), Riccati.solve
+
+    def leaps_from_rest(solver, problem, s, *numbers):
+        solution = solve(solver, problem, s, *numbers)
+        at_rest = len(numbers) == 2 and np.array_equal(s, s0)
+        return replace(solution, **change) if at_rest else solution
+
+    monkeypatch.setattr(Riccati, "solve", leaps_from_rest)
+    again = plan_from(learned.cost, arm.robot, start)
+    assert again.status.ok
+    assert again.objective == pytest.approx(plan.objective, rel=1e-8)
 
 
 def test_costs_written_before_they_named_their_arm_are_read(tmp_path):

@@ -36,7 +36,7 @@ from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Robot
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.riccati import Riccati
-from kpirl_ocp.types import Array, Demonstration, Solution
+from kpirl_ocp.types import Array, Demonstration, Solution, Trajectory
 
 _SOLVER = Riccati(tolerance=1e-9)
 _OPTIMISER = LBFGS(first_step=1.0, tolerance=1e-4)
@@ -142,8 +142,8 @@ def learn_on(
 ) -> LearningResult:
     """Learn with the implicit gradient, and begin again with a new memory where L-BFGS gets stuck, if that helps.
 
-    Every plan starts cold, as those of the learned cost will: a plan that is continued from one psi to the next may
-    stay in a local minimum that no later plan finds.
+    Every plan starts cold, as that of the learned cost from its start will: a plan that is continued from one psi to
+    the next may stay in a local minimum that no later plan finds.
 
     psi0: (n_psi,). iterations: in all. least: lower bounds of psi. enough: loss at which it ends.
 
@@ -190,7 +190,19 @@ def _learn(
 def plan_from(learned: LearnedCost, robot: Robot, theta: Array) -> Solution:
     """Plan with a learned cost from a start theta (n_joints,) [rad], towards the learned displacement from there.
 
+    Two solves, one cold and one from the plan at the start it was learned with, may end at different minima: the plan
+    is that of less cost.
+
     Raises SolveError if no plan is found.
     """
-    s0 = learned.setting.state(robot, theta)
-    return learned.solver.solve(learned.problem(robot), s0, learned.psi, learned.goal(s0)).raise_if_failed()
+    problem, solver, s0 = learned.problem(robot), learned.solver, learned.setting.state(robot, theta)
+    learned_s0 = learned.setting.state(robot, learned.start)
+    context = learned.goal(s0)
+    plan = solver.solve(problem, s0, learned.psi, context)
+    first = solver.solve(problem, learned_s0, learned.psi, learned.goal(learned_s0))
+    if not first.status.ok:
+        return plan.raise_if_failed()
+    moved = Trajectory(first.states + (s0 - learned_s0), first.actions)
+    beside = solver.solve(problem, s0, learned.psi, context, moved)
+    found = [solution for solution in (plan, beside) if solution.status.ok]
+    return min(found or [plan], key=lambda solution: solution.objective).raise_if_failed()
