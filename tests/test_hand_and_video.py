@@ -111,6 +111,9 @@ def test_impossible_requests_are_refused(tmp_path, film):
         read_demonstration(path, rate=5)
     with pytest.raises(FileError, match="no PNG"):
         read_demonstration(tmp_path, source_rate=30)
+    with pytest.raises(FileError, match="no PNG"):
+        read_demonstration(tmp_path)
+    cv2.imwrite(str(tmp_path / "0.png"), film[0])
     with pytest.raises(FileError, match="source_rate"):
         read_demonstration(tmp_path)
     with pytest.raises(ProblemError, match="uint8"):

@@ -155,6 +155,6 @@ def test_a_film_in_which_the_detector_does_not_see_its_object_is_refused(tmp_pat
     for index, frame in enumerate(frames):
         frame[100:140, 60 + 8 * index : 100 + 8 * index] = 200, 40, 40
     path = write_video(tmp_path / "other.mp4", frames, 10, codec="h264")
-    assert run(["learn-video", str(path), MODELS[0], "--out", str(tmp_path)]) == 2
+    assert run(["learn-video", str(path), MODELS[0], "--scale", "1", "--out", str(tmp_path)]) == 2
     assert "not seen for sure" in capsys.readouterr().err
     assert (tmp_path / "refused.png").exists()
