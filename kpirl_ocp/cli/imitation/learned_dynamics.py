@@ -20,7 +20,7 @@ from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.cost_files import robot_called
 from kpirl_ocp.irl.cases.planar_arm import planar_dynamics
 from kpirl_ocp.irl.learning.learn import LearningResult
-from kpirl_ocp.irl.visual.camera_learning import learn_on, path_distance
+from kpirl_ocp.irl.visual.camera_learning import cheapest, learn_on, path_distance
 from kpirl_ocp.irl.visual.closed_loop import KeypointController
 from kpirl_ocp.irl.visual.demonstrations import positions, transferred_demonstration
 from kpirl_ocp.irl.visual.learning import CONVERGED
@@ -112,16 +112,15 @@ def imitate(args: Namespace, tracks: Tracks) -> int:
 
 
 def plans_from(controller: KeypointController, demonstrations: Sequence[Demonstration]) -> list[Solution]:
-    """A plan from the start of each; where none is found from no action, begin with the plan from the first start.
+    """A plan from the start of each: the cheaper of those from no action, and from the plan from the first start.
 
-    Raises SolveError if there is none from the first start, or none with that guess.
+    Raises SolveError if there is none from the first start, or neither of the two.
     """
     first = controller.plan(demonstrations[0].s0, demonstrations[0].context).raise_if_failed()
     plans = [first]
     for demo in demonstrations[1:]:
-        cold = controller.plan(demo.s0, demo.context)
-        near = cold if cold.status.ok else controller.plan(demo.s0, demo.context, guess=first)
-        plans.append(near.raise_if_failed())
+        both = [controller.plan(demo.s0, demo.context, guess=guess) for guess in (None, first)]
+        plans.append(cheapest(both).raise_if_failed())
     return plans
 
 

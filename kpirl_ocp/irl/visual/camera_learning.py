@@ -40,6 +40,7 @@ from kpirl_ocp.types import Array, Demonstration, Solution, Trajectory
 
 _SOLVER = Riccati(tolerance=1e-9)
 _OPTIMISER = LBFGS(first_step=1.0, tolerance=1e-4)
+_PATIENT = LBFGS()
 _PROGRESS = 0.05  # relative fall of the loss with which it is worth beginning again
 _ENOUGH = 0.015  # share of the way, root mean square, by which the tracks themselves may be off
 _TURN = 0.05  # share of the way by which a coordinate goes back where it turns, and within which it rests
@@ -124,7 +125,7 @@ def learn_in_image(
     least = replace(cost, effort=(_LEAST_EFFORT,) * horizon).initial(horizon, n_z)
     least[:-horizon] = -np.inf
     enough = observations[1:].size / 2 * (_ENOUGH * way_length(observations)) ** 2
-    result = learn_on(problem, demonstrations, psi0, iterations, least, enough)
+    result = learn_on(problem, demonstrations, psi0, iterations, least, enough, _OPTIMISER)
     start = demonstration.s0[n_z : n_z + robot.n_joints]
     way = observations[-1] - observations[0]
     learned = LearnedCost(cost, result.psi, horizon, _SOLVER, setting, start, way, rate, goals)
@@ -139,6 +140,7 @@ def learn_on(
     iterations: int,
     least: Array | float = -np.inf,
     enough: float = -np.inf,
+    optimiser: LBFGS = _PATIENT,
 ) -> LearningResult:
     """Learn with the implicit gradient, and begin again with a new memory where L-BFGS gets stuck, if that helps.
 
@@ -149,9 +151,9 @@ def learn_on(
 
     Raises CertificateError if a gradient cannot be certified.
     """
-    result = _learn(problem, demonstrations, psi0, iterations, least, enough)
+    result = _learn(problem, demonstrations, psi0, iterations, least, enough, optimiser)
     while (left := iterations + 1 - len(result.losses)) > 0 and result.loss > enough:
-        more = _learn(problem, demonstrations, result.psi, left, least, enough)
+        more = _learn(problem, demonstrations, result.psi, left, least, enough, optimiser)
         stuck = more.loss > (1 - _PROGRESS) * result.loss
         result = LearningResult(
             psi=more.psi,
@@ -173,13 +175,14 @@ def _learn(
     iterations: int,
     least: Array | float,
     enough: float,
+    optimiser: LBFGS,
 ) -> LearningResult:
     return learn(
         problem,
         demonstrations,
         psi0,
         Implicit(_SOLVER),
-        _OPTIMISER,
+        optimiser,
         iterations,
         warm_start=False,
         bounds=(least, np.inf),
@@ -204,5 +207,10 @@ def plan_from(learned: LearnedCost, robot: Robot, theta: Array) -> Solution:
         return plan.raise_if_failed()
     moved = Trajectory(first.states + (s0 - learned_s0), first.actions)
     beside = solver.solve(problem, s0, learned.psi, context, moved)
-    found = [solution for solution in (plan, beside) if solution.status.ok]
-    return min(found or [plan], key=lambda solution: solution.objective).raise_if_failed()
+    return cheapest([plan, beside]).raise_if_failed()
+
+
+def cheapest(plans: Sequence[Solution]) -> Solution:
+    """The plan of least cost of those that were found, or the first one if none was."""
+    found = [plan for plan in plans if plan.status.ok]
+    return min(found or plans[:1], key=lambda plan: plan.objective)
