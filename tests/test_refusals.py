@@ -8,9 +8,12 @@ import pytest
 from statements import CASES, NUMBERS, PLAIN, C, P, Q, S, U, state
 
 from kpirl_ocp import (
+    LBFGS,
     OCP,
     SQP,
+    Adam,
     Demonstration,
+    Descent,
     Fatrop,
     GradientDescent,
     Ipopt,
@@ -85,6 +88,20 @@ STATEMENTS = {
     "soft with prices for others": ({"soft": Soft(S[0], [1.0, 2.0])}, "soft.linear must have length 1"),
     "soft with a price of the state": ({"soft": Soft(S[0], S[1] ** 2)}, "soft.linear depends on s"),
     "soft as an expression": ({"soft": S[0]}, r"soft must be a Soft\(constraint"),
+    "rows in a list": (
+        {"path_constraint": [S[0], U]},
+        "a casadi.MX like the state, .*: put its entries into one column",
+    ),
+    "an inequality with its sign": (
+        {"path_constraint": S[0] <= 1},
+        "holds a relation, .* at most zero, a - b for a <= b",
+    ),
+    "one of several rows with its sign": (
+        {"terminal_constraint": ca.vertcat(S[0], ca.vertcat(S[1] - 1, S[0] > 1))},
+        "terminal_constraint holds a relation",
+    ),
+    "an equality with its sign": ({"terminal_equality": S == 1}, "holds a relation, .* to be zero, a - b for a == b"),
+    "a soft inequality with its sign": ({"soft": Soft(S[0] <= 1, 1.0)}, "soft.constraint holds a relation"),
     "soft of words": ({"soft": Soft("s", 1.0)}, "soft.constraint must be a casadi.MX"),
 }
 SENTENCES = {
@@ -144,6 +161,35 @@ def test_a_wrong_argument_of_a_solve_is_refused_by_name(name, value):
         Ipopt().solve(problem, **arguments)
 
 
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_relations_inside_an_expression_are_no_relations_of_a_constraint(kind):
+    s, u = kind.sym("s", 2), kind.sym("u")
+    inside = ca.vertcat(ca.if_else(s[0] < 1, s[1], u), (s[0] > 1) * u - 1)
+    assert OCP.from_expressions(state=s, action=u, dynamics=s, horizon=2, path_constraint=inside).n_path == 2
+    with pytest.raises(ProblemError, match="path_constraint holds a relation"):
+        OCP.from_expressions(state=s, action=u, dynamics=s, horizon=2, path_constraint=ca.vertcat(u, s[0] <= 1))
+
+
+SETTINGS = {
+    "a number in words": (lambda: Riccati("1e-8"), "tolerance of Riccati must be a number, got '1e-8'"),
+    "CasADi's options": (lambda: Ipopt({"ipopt.max_iter": 3}), "tolerance of Ipopt must be a number, got {'ipopt"),
+    "half a program": (lambda: SQP(max_iterations=2.5), "max_iterations of SQP must be a whole number, got 2.5"),
+    "a limit in words": (lambda: Fatrop(time_limit="1 s"), "time_limit of Fatrop must be a number"),
+    "half a step": (lambda: Riccati(steps=1.5), "steps of Riccati must be a whole number, got 1.5"),
+    "a step size that is true": (lambda: GradientDescent(5, True), "step_size of GradientDescent must be a number"),
+    "a way uphill": (lambda: Descent(-0.1), "learning_rate must be a number above 0, got -0.1"),
+    "no learning": (lambda: Adam(0), "learning_rate must be a number above 0, got 0"),
+    "a first step that is unknown": (lambda: LBFGS(first_step=np.nan), "first_step must be a number above 0, got nan"),
+}
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_a_setting_that_is_none_is_refused_by_name(name):
+    make, message = SETTINGS[name]
+    with pytest.raises(ProblemError, match=message):
+        make()
+
+
 EVERY = [Riccati(), Ipopt(), Fatrop(), SQP(), GradientDescent()]
 
 
@@ -191,6 +237,7 @@ V = ca.SX.sym("s", 2)
 DISCRETE = {
     "unknown method": ({"method": "euler"}, "method must be one of rk4, midpoint"),
     "no intervals": ({"intervals": 0}, "intervals and degree must be at least 1"),
+    "no step": ({"step": 0}, "step must not be 0: the state would never change"),
     "algebraic variables alone": ({"algebraic": X}, "algebraic and residual must be given together"),
     "algebraic variables in rk4": ({"algebraic": X, "residual": X}, "knows no algebraic variables"),
 }
@@ -200,7 +247,7 @@ DISCRETE = {
 def test_a_discretisation_that_does_not_fit_is_refused(name):
     changes, message = DISCRETE[name]
     with pytest.raises(ProblemError, match=message):
-        discretise(ODE, S, step=0.1, **changes)
+        discretise(ODE, S, **{"step": 0.1, **changes})
     with pytest.raises(ProblemError, match=r"ode must have the shape of the state, \(2, 1\), got \(1, 1\)"):
         discretise(ODE[0], S, step=0.1)
     with pytest.raises(ProblemError, match="method 'collocation' needs"):

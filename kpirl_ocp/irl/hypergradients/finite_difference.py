@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import (
     HypergradientResult,
     enforce,
@@ -29,6 +28,7 @@ from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
 from kpirl_ocp.irl.hypergradients.smoothness import kinks_at
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, Solver
+from kpirl_ocp.ocp.problem.statement.checks import number
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, Policy, check_policy
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
@@ -70,8 +70,7 @@ class FiniteDifference:
 
     def __post_init__(self) -> None:
         check_policy(self.policy, ("raise", "flag"))
-        if not self.step > 0:
-            raise ProblemError(f"step must be positive, got {self.step!r}.")
+        number("step", self.step, "positive", 0)
 
     def __call__(
         self, problem: OCP, demonstration: Demonstration, psi: ArrayLike, guess: Guess = None

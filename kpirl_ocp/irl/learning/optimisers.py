@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from kpirl_ocp.errors import CertificateError
+from kpirl_ocp.ocp.problem.statement.checks import check_settings, number
 from kpirl_ocp.types import Array, Mask, Solution
 
 
@@ -69,6 +70,9 @@ class Descent:
 
     learning_rate: float = 1e-3
 
+    def __post_init__(self) -> None:
+        number("learning_rate", self.learning_rate, "a number above 0", 0)
+
     def start(self, point: Point) -> None:
         """Nothing to remember."""
 
@@ -85,6 +89,9 @@ class Adam:
     beta1: float = 0.9
     beta2: float = 0.999
     epsilon: float = 1e-8
+
+    def __post_init__(self) -> None:
+        number("learning_rate", self.learning_rate, "a number above 0", 0)
 
     def start(self, point: Point) -> tuple[int, Array, Array]:
         """Step counter and the two moments."""
@@ -115,6 +122,10 @@ class LBFGS:
     memory: int = 10
     first_step: float = 0.1
     tolerance: float = 1e-6
+
+    def __post_init__(self) -> None:
+        number("first_step", self.first_step, "a number above 0", 0)
+        check_settings(self, "tolerance")
 
     def start(self, point: Point) -> tuple[tuple[Array, Array], ...]:
         """No pairs."""

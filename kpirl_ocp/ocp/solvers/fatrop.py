@@ -22,6 +22,7 @@ from kpirl_ocp.ocp.conditions.program import not_started, selected, starting_poi
 from kpirl_ocp.ocp.problem.layout import by_stage, lengths, pack, split, unpack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.ocp.problem.statement.checks import check_settings
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.ocp.solvers.child_process import ChildProcess
 from kpirl_ocp.ocp.solvers.infeasible import shown_infeasible
@@ -58,6 +59,7 @@ class Fatrop:
     time_limit: float | None = 60.0
 
     def __post_init__(self) -> None:
+        check_settings(self, "tolerance", "max_iterations", *(["time_limit"] if self.time_limit is not None else []))
         limited = self.time_limit is None or self.time_limit > 0
         if not 0 < self.tolerance < np.inf or self.max_iterations < 1 or not limited:
             raise ProblemError("Fatrop needs tolerance > 0, max_iterations >= 1 and time_limit > 0.")

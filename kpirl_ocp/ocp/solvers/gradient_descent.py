@@ -20,6 +20,7 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost, reduced_symbols
 from kpirl_ocp.ocp.problem.scope import constant_bounds, refuse_features
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
+from kpirl_ocp.ocp.problem.statement.checks import check_settings
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
 from kpirl_ocp.sizes import LONGEST
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory, largest, max_or_nan
@@ -43,6 +44,7 @@ class GradientDescent:
     def __post_init__(self) -> None:
         if not isinstance(self.steps, int) or not 1 <= self.steps <= LONGEST:
             raise ProblemError(f"steps must be a whole number from 1 to {LONGEST}, got {self.steps!r}.")
+        check_settings(self, "step_size", "tolerance")
         for name in ("step_size", "tolerance"):
             if not getattr(self, name) > 0:
                 raise ProblemError(f"{name} must be positive, got {getattr(self, name)!r}.")

@@ -22,6 +22,7 @@ from kpirl_ocp.ocp.conditions.program import (
 from kpirl_ocp.ocp.problem.layout import bound_multipliers, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.ocp.problem.statement.checks import check_settings
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.types import Array, Solution, Status
 
@@ -52,6 +53,7 @@ class Ipopt:
     barrier: float = 0.0
 
     def __post_init__(self) -> None:
+        check_settings(self, "tolerance", "barrier", "max_iterations")
         if not self.tolerance > 0 or not self.barrier >= 0 or self.max_iterations < 1:
             raise ProblemError("Ipopt needs tolerance > 0, barrier >= 0 and max_iterations >= 1.")
 

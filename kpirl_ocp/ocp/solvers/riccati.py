@@ -24,6 +24,7 @@ from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.interior_point.machine_code import Compile
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives
+from kpirl_ocp.ocp.problem.statement.checks import check_settings
 from kpirl_ocp.types import Array, Solution
 
 
@@ -53,6 +54,7 @@ class Riccati:
     verbose: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
+        check_settings(self, "tolerance", "barrier", "max_iterations", *(["steps"] if self.steps is not None else []))
         if not 0 < self.tolerance < np.inf or not 0 <= self.barrier < np.inf or self.max_iterations < 1:
             raise ProblemError("Riccati needs tolerance > 0, barrier >= 0 and max_iterations >= 1.")
         if self.steps is not None and self.steps < 1:

@@ -28,6 +28,7 @@ from kpirl_ocp.ocp.conditions.program import (
 from kpirl_ocp.ocp.problem.layout import bound_multipliers, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.ocp.problem.statement.checks import check_settings
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.ocp.solvers.infeasible import shown_infeasible
 from kpirl_ocp.types import Array, Solution, Status
@@ -50,6 +51,7 @@ class SQP:
     max_iterations: int = 200
 
     def __post_init__(self) -> None:
+        check_settings(self, "tolerance", "max_iterations")
         if not 0 < self.tolerance < np.inf or self.max_iterations < 1:
             raise ProblemError("SQP needs tolerance > 0 and max_iterations >= 1.")
 

@@ -44,6 +44,16 @@ def number(name: str, value: ArrayLike, expected: str, lower: float, upper: floa
     return float(found)
 
 
+def check_settings(owner: object, *names: str) -> None:
+    """Raise ProblemError unless these attributes of a solver are numbers, whole ones if they count."""
+    for name in names:
+        value, whole = getattr(owner, name), name in ("max_iterations", "steps")
+        kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)
+        if not isinstance(value, kinds) or isinstance(value, bool):
+            expected = "a whole number" if whole else "a number"
+            raise ProblemError(f"{name} of {type(owner).__name__} must be {expected}, got {shown(value)}.")
+
+
 def vector(name: str, value: ArrayLike, *lengths: int) -> Array:
     """A float64 vector of one of these lengths, in memory of its own: later changes of `value` leave it as it is.
 

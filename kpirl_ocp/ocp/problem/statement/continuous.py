@@ -61,7 +61,8 @@ def discretise(
     _check_symbols("state", state, type(state))
     _check_expression("ode", "the shape of the state", ode, type(state), state.shape)
     if not isinstance(step, ca.SX | ca.MX):
-        number("step", step, "a number that is finite, or an expression", -np.inf)
+        if not number("step", step, "a number that is finite, or an expression", -np.inf):
+            raise ProblemError("step must not be 0: the state would never change.")
     else:
         _check_expression("step", "the shape of a number", step, type(state), (1, 1))
     if algebraic is not None:

@@ -14,7 +14,15 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED, bounds_of, horizon_of, schedule_of
-from kpirl_ocp.ocp.problem.statement.expressions import Expression, expression_of, function_of, strange, symbols_of
+from kpirl_ocp.ocp.problem.statement.expressions import (
+    CONSTRAINTS,
+    Expression,
+    check_rows,
+    expression_of,
+    function_of,
+    strange,
+    symbols_of,
+)
 from kpirl_ocp.types import Array
 
 
@@ -58,6 +66,9 @@ class Draft:
             name: None if value is None else expression_of(name, value, self.kind)
             for name, value in expressions.items()
         }
+        for name in CONSTRAINTS:
+            if self.expressions[name] is not None:
+                check_rows(name, self.expressions[name])
         n_s, n_u = self.state.numel(), self.action.numel()
         self.bounds: dict[str, tuple[Array, Array] | None] = {
             "action_bounds": bounds_of("action_bounds", UNBOUNDED, (self.horizon, n_u)),

@@ -17,6 +17,7 @@ Symbols = Mapping[str, Sequence[Expression]]
 """The symbols of every argument: state, action, parameters, context, stage; each may have several."""
 
 _SHORT = {"state": "s", "action": "u", "parameters": "psi", "context": "c", "stage": "d"}
+_RELATIONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 _STAGE = ("state", "action", "parameters", "context", "stage")
 _END = ("state", "parameters", "context", "stage")
 SEEN = {
@@ -30,6 +31,7 @@ SEEN = {
     "observation": ("state",),
 }
 """The arguments that each stage function has."""
+CONSTRAINTS = ("path_constraint", "path_equality", "terminal_constraint", "terminal_equality")
 
 
 def symbols_of(**given: Expression | None) -> dict[str, list[Expression]]:
@@ -70,7 +72,27 @@ def expression_of(name: str, value: Expression | float, kind: Any) -> Expression
     try:
         return kind(value)
     except (NotImplementedError, TypeError, RuntimeError) as error:
-        raise ProblemError(f"{name} must be a casadi.{kind.__name__} like the state, got {shown(value)}.") from error
+        hint = ": put its entries into one column by casadi.vertcat" if isinstance(value, list | tuple) else ""
+        raise ProblemError(
+            f"{name} must be a casadi.{kind.__name__} like the state, got {shown(value)}{hint}."
+        ) from error
+
+
+def check_rows(name: str, column: Expression) -> None:
+    """Raise ProblemError for a row that is a relation, a <= b, of value 0 or 1: a - b is meant to be <= 0, or to be 0."""
+    for part in _parts(column):
+        if any(part.is_op(relation) for relation in _RELATIONS):
+            wanted = "zero, a - b for a == b" if name.endswith("equality") else "at most zero, a - b for a <= b"
+            raise ProblemError(f"{name} holds a relation, {shown(part)}: state the expression that is to be {wanted}.")
+
+
+def _parts(column: Expression) -> list[Expression]:
+    """The rows of an SX; the columns of which an MX is put together."""
+    if isinstance(column, ca.SX):
+        return list(column.elements())
+    if column.is_op(ca.OP_VERTCAT) or column.is_op(ca.OP_RESHAPE):
+        return [part for i in range(column.n_dep()) for part in _parts(column.dep(i))]
+    return [column]
 
 
 def function_of(name: str, expression: Expression, symbols: Symbols) -> ca.Function:

@@ -17,7 +17,7 @@ import numpy as np
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.ocp.problem.statement.draft import Draft
-from kpirl_ocp.ocp.problem.statement.expressions import Expression, depends, expression_of, values_of
+from kpirl_ocp.ocp.problem.statement.expressions import Expression, check_rows, depends, expression_of, values_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +39,7 @@ def soften(draft: Draft, soft: Soft) -> None:
     if not isinstance(soft, Soft):
         raise ProblemError(f"soft must be a Soft(constraint, linear=.., quadratic=..), got {shown(soft)}.")
     h = expression_of("soft.constraint", soft.constraint, draft.kind)
+    check_rows("soft.constraint", h)
     prices = [_price(draft, name, getattr(soft, name), h.numel()) for name in ("linear", "quadratic")]
     _check_prices(*prices)
     sigma = draft.kind.sym("slack", h.numel())
