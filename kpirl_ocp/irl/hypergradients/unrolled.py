@@ -33,7 +33,7 @@ from kpirl_ocp.irl.hypergradients.straight_steps import has_straight_steps
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descents, direction
 from kpirl_ocp.ocp.codegen.compiler import compiled
-from kpirl_ocp.ocp.codegen.numpy_calls import call_function
+from kpirl_ocp.ocp.codegen.numpy_calls import call_built
 from kpirl_ocp.ocp.conditions.steepness import even_in_psi
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -210,7 +210,7 @@ def gradient_alone(method: Unrolled, problem: OCP, demonstration: Demonstration,
 def _outputs(descents: Descents, last: int, checkpoint: bool) -> Array:
     """Outputs of `unrolled_function`, a row for each of the B descents."""
     count = len(descents.observed) // (descents.problem.horizon + 1)
-    evaluate = call_function(_function(descents.problem, descents.solver, descents.loss, last, checkpoint, count))
+    evaluate = call_built(_function, descents.problem, descents.solver, descents.loss, last, checkpoint, count)
     psis = np.concatenate([descents.psi] * count)
     (outputs,) = evaluate(descents.actions, descents.starts, psis, descents.contexts, descents.observed)
     return outputs.reshape(count, -1)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of
 from kpirl_ocp.ocp.codegen.compiler import compiled
-from kpirl_ocp.ocp.codegen.numpy_calls import call_function
+from kpirl_ocp.ocp.codegen.numpy_calls import call_built
 from kpirl_ocp.ocp.problem.columns import regroup, repeat
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import ReducedCost, reduced_symbols
@@ -93,7 +93,7 @@ class Descents:
     def _slopes(self, move: Array, length: float, losses: Array) -> Array:
         """(2, B): forward and backward."""
         count = len(losses)
-        evaluate = call_function(_losses(self.problem, self.solver, self.loss, 2 * count))
+        evaluate = call_built(_losses, self.problem, self.solver, self.loss, 2 * count)
         psis = np.concatenate([np.tile(self.psi + sign * length * move, count) for sign in (1.0, -1.0)])
         twice = (np.concatenate([array, array]) for array in (self.actions, self.starts, self.contexts, self.observed))
         actions, starts, contexts, observed = twice

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kpirl_ocp.ocp.codegen.compiler import compiled
-from kpirl_ocp.ocp.codegen.numpy_calls import call_function
+from kpirl_ocp.ocp.codegen.numpy_calls import call_built
 from kpirl_ocp.ocp.conditions.polynomials import is_polynomial
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Solution
@@ -124,7 +124,7 @@ def _are_even(problem: OCP, listed: Listed, solution: Solution, move: Array, sta
     schedule = np.asarray(problem.schedule, float)[stages]
     arrays = [np.tile(array, (3, 1)) for array in (*trajectory, schedule)]
     psis, contexts = np.repeat(beside, count, axis=0), np.tile(solution.context, (3 * count, 1))
-    evaluate = call_function(_rest(problem, listed, 3 * count))
+    evaluate = call_built(_rest, problem, listed, 3 * count)
     (found,) = evaluate(*arrays[:-1], psis, contexts, arrays[-1])
     at, *sides = found.reshape(3, count, -1)
     return _small(np.concatenate([side - at for side in sides]), at)

@@ -104,7 +104,7 @@ def solve_and_linearise(
 
 def check_guess(guess: object) -> None:
     """Raise ProblemError for a guess that is neither Solution, Trajectory nor None."""
-    if not isinstance(guess, Solution | Trajectory | None):
+    if not isinstance(guess, Guess):
         raise ProblemError(f"guess must be a Solution or a Trajectory, got {shown(guess)}.")
 
 

@@ -64,7 +64,7 @@ def vector(name: str, value: ArrayLike, *lengths: int) -> Array:
         raise ProblemError(f"{name} must be a vector of length {_or(lengths)}, got the shape {array.shape}.")
     if array.size not in lengths:
         raise ProblemError(f"{name} must have length {_or(lengths)}, got {array.size}.")
-    return np.array(array.reshape(-1), order="C")
+    return array.flatten()
 
 
 def matrix(name: str, axes: str, value: ArrayLike, *shapes: tuple[int, int]) -> Array:
