@@ -79,7 +79,7 @@ def expression_of(name: str, value: Expression | float, kind: Any) -> Expression
 
 
 def check_rows(name: str, column: Expression) -> None:
-    """Raise ProblemError for a row that is a relation, a <= b, of value 0 or 1: a - b is meant to be <= 0, or to be 0."""
+    """Raise ProblemError for a row that is a relation, a <= b, of value 0 or 1, where a - b is to be <= 0, or 0."""
     for part in _parts(column):
         if any(part.is_op(relation) for relation in _RELATIONS):
             wanted = "zero, a - b for a == b" if name.endswith("equality") else "at most zero, a - b for a <= b"
