@@ -10,6 +10,7 @@ import numpy as np
 from kpirl_ocp.ocp.codegen.portable_c import STAGE
 from kpirl_ocp.ocp.codegen.target import Target
 from kpirl_ocp.ocp.codegen.templates import PREFIX
+from kpirl_ocp.ocp.conditions.structure import quadratic_program
 from kpirl_ocp.ocp.export.stages import exported_stages, pulls
 from kpirl_ocp.ocp.interior_point import library as core
 from kpirl_ocp.ocp.interior_point.core import dimensions_of, point_bounds
@@ -33,7 +34,7 @@ def target(problem: OCP, solver: Riccati) -> Target:
         with_core=True,
         workspace="riccati.h",
         macros=_memory(problem, stages),
-        data=_model(stages),
+        data=_model(stages, quadratic_program(problem)),
         steps=solver.steps or 0,
         max_iterations=solver.max_iterations,
         tolerance=solver.tolerance,
@@ -63,9 +64,9 @@ def _sparsities(stages: StageFunctions) -> dict[str, ca.Sparsity]:
     }
 
 
-def _model(stages: StageFunctions) -> str:
+def _model(stages: StageFunctions, quadratic: bool) -> str:
     """The functions behind pointers, and the patterns of their matrices."""
-    tables, members = [], []
+    tables, members = [], ["    .by_stage = 1,\n", f"    .quadratic = {quadratic:d},\n"]
     for which, levels in (("stage", stages.stage), ("last", stages.last)):
         pointers = ", ".join(f"{{{PREFIX}_{one.name()}, NULL}}" for one in levels)
         members.append(f"    .{which} = {{{pointers}}},\n")
@@ -78,7 +79,7 @@ def _model(stages: StageFunctions) -> str:
     return (
         "\n/* Functions of values, first and second derivatives; nonzeros of matrices in dense arrays by columns. */\n"
         f"{''.join(tables)}\n"
-        f"const {PREFIX}_model {PREFIX}_exported_model = {{\n    .by_stage = 1,\n{''.join(members)}}};\n"
+        f"const {PREFIX}_model {PREFIX}_exported_model = {{\n{''.join(members)}}};\n"
     )
 
 

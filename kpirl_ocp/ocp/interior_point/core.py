@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import kpirl_ocp.ocp.interior_point.library as c
 from kpirl_ocp.ocp.codegen.numpy_calls import Build
+from kpirl_ocp.ocp.conditions.structure import quadratic_program
 from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachine, pointer_to
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare, prepare_function
@@ -177,7 +178,8 @@ class Core:
             model.horizon[:] = [self._pointer(function, c.HORIZON) for function in functions.horizon]
             model.dynamics = self._pointer(functions.dynamics)
             return model
-        stages, model = stage_functions(self.problem), c.Model(by_stage=1, **self._patterns)
+        stages = stage_functions(self.problem)
+        model = c.Model(by_stage=1, quadratic=quadratic_program(self.problem), **self._patterns)
         model.stage[:] = [self._pointer(function) for function in stages.stage]
         model.last[:] = [self._pointer(function) for function in stages.last]
         return model

@@ -54,6 +54,7 @@ HORIZON = (
 Model = _structure(
     "Model",
     by_stage=INT,
+    quadratic=INT,
     stage=Function * 3,
     last=Function * 3,
     horizon=Function * 3,

@@ -116,10 +116,10 @@ typedef struct kpirl_mpc_core {
   real tolerance, regularisation, best[3]; /* best: the smallest residuals so far */
   double started;
   int iterations, trials, idle; /* idle: iterations since one of `best` was halved */
-  int lifted;                  /* are steps lifted, or along the dynamics? */
-  int held;                    /* was tau held where the Hessian was not positive? */
+  int lifted, held;            /* are steps lifted, or along the dynamics? was tau held where the Hessian was not positive? */
   int no_costates;             /* are they zero because nothing is known about them? */
   int failed;                  /* has a function reported an error? */
+  int factored, settled;       /* are the factors those of this iterate, without regularisation? the matrices those of any? */
 } kpirl_mpc_core;
 
 /* n_w, the number of bounds, m and the number of equalities. */
@@ -143,8 +143,9 @@ size_t kpirl_mpc_core_size(const kpirl_mpc_dimensions *dimensions, const kpirl_m
 kpirl_mpc_core *kpirl_mpc_core_init(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_bounds *bounds,
                                     const kpirl_mpc_model *model, void *memory);
 
-/* Other functions for the same problem, of the same patterns. */
+/* Other functions for the same problem, of the same patterns; other numbers. */
 void kpirl_mpc_core_set_model(kpirl_mpc_core *core, const kpirl_mpc_model *model);
+void kpirl_mpc_set_numbers(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers);
 
 /* A trajectory to start from, x and, for a warm start, costates, net multipliers of the bounds of x (positive at an upper
  * bound), of h and h_T, and of e and e_T; costates NULL: a cold start. x NULL: from no action. */

@@ -47,6 +47,7 @@ void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level) {
   kpirl_mpc_derivatives *d = &core->d;
   const int n_h = DIM(core, n_path), n_e = DIM(core, n_equality), n_w = kpirl_mpc_n_point(core);
   const int m = kpirl_mpc_n_inequalities(core), equalities = kpirl_mpc_n_equalities(core);
+  core->factored = 0;
   kpirl_mpc_evaluate(core, level);
   d->matrices = level == KPIRL_MPC_SECOND;
   if (d->matrices) {

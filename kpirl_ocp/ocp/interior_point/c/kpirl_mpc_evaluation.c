@@ -170,17 +170,25 @@ static void subtract_costates(const kpirl_mpc_core *core, real *gradient) {
     for (i = 0; i < n_s; ++i) gradient[t * n_x + i] -= core->at.costates[(t - 1) * n_s + i];
 }
 
+void kpirl_mpc_set_numbers(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers) {
+  core->numbers = *numbers;
+  core->settled = core->failed = 0;
+}
+
+/* Matrices of a quadratic program are evaluated once for its numbers. */
 void kpirl_mpc_evaluate(kpirl_mpc_core *core, int level) {
-  const int T = DIM(core, horizon);
+  const int T = DIM(core, horizon), matrices = level == KPIRL_MPC_SECOND && !core->settled;
   kpirl_mpc_derivatives *d = &core->d;
   int t;
   d->objective = 0;
+  if (level == KPIRL_MPC_SECOND && !matrices) level = KPIRL_MPC_FIRST;
   if (core->model.by_stage)
     for (t = 0; t <= T; ++t) differentiate_stage(core, level, t);
   else
     call_horizon(core, level, core->at.x, &d->objective, d->defects, d->path, d->equality);
   subtract_states(core, core->at.x, d->defects);
   subtract_costates(core, d->gradient);
+  if (matrices) core->settled = core->model.quadratic;
 }
 
 void kpirl_mpc_evaluate_stage_0(kpirl_mpc_core *core, int level) {

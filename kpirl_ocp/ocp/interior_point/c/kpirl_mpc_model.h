@@ -67,9 +67,10 @@ typedef struct kpirl_mpc_horizon_function {
 
 enum { KPIRL_MPC_VALUES, KPIRL_MPC_FIRST, KPIRL_MPC_SECOND, KPIRL_MPC_LEVELS };
 
-/* Either stage and last, with the patterns of their matrices; or horizon, and dynamics (successor alone) for rollouts. */
+/* Either stage and last, with the patterns of their matrices; or horizon, and dynamics (successor alone) for rollouts. quadratic: is
+ * this a quadratic program, whose matrices F, G, E and H are the same at every x and for all multipliers? */
 typedef struct kpirl_mpc_model {
-  int by_stage;
+  int by_stage, quadratic;
   kpirl_mpc_stage_function stage[KPIRL_MPC_LEVELS], last[KPIRL_MPC_LEVELS];
   kpirl_mpc_horizon_function horizon[KPIRL_MPC_LEVELS];
   kpirl_mpc_stage_function dynamics;

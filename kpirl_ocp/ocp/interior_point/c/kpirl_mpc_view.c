@@ -34,8 +34,7 @@ void kpirl_mpc_core_gradient(const kpirl_mpc_core *core, real *r) {
 
 static void stand_at(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point) {
   const int bounds = kpirl_mpc_n_bounds(core), fixed = core->n_fixed;
-  core->numbers = *numbers;
-  core->failed = 0;
+  kpirl_mpc_set_numbers(core, numbers);
   memcpy(core->at.x, point->x, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
   memcpy(core->at.costates, point->costates, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
   memcpy(core->at.z + bounds, point->path, (size_t)(kpirl_mpc_n_inequalities(core) - bounds) * sizeof(real));

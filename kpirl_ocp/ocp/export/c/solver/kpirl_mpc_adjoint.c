@@ -38,9 +38,8 @@ static void stand_at(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpi
   const kpirl_mpc_start start = kpirl_mpc_take_guess(mpc, &plan);
   const real barrier = mpc->settings.barrier;
   const int bounds = core->n_lower + core->n_upper;
-  core->numbers = *numbers;
+  kpirl_mpc_set_numbers(core, numbers);
   core->options = kpirl_mpc_options_of(mpc);
-  core->failed = 0;
   core->tau = barrier > 0 ? barrier : mpc->settings.tolerance / 10; /* the smoothed problem's gradient is off by O(tau) */
   kpirl_mpc_warm_start(core, &start, core->tau);
   if (barrier > 0) {

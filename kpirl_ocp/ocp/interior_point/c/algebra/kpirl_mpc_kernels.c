@@ -200,9 +200,21 @@ void kpirl_mpc_symmetric_times_vector(const real *restrict a, int n, const real 
 }
 
 void kpirl_mpc_transpose(const real *restrict a, int rows, int columns, real *restrict transposed) {
-  int i, j;
-  for (i = 0; i < rows; ++i)
-    for (j = 0; j < columns; ++j) transposed[j + i * columns] = a[i + j * rows];
+  int i, j = 0;
+  for (; j + 4 <= columns; j += 4, a += 4 * rows) {
+    const real *restrict b = a + rows, *restrict c = b + rows, *restrict d = c + rows;
+    real *restrict to = transposed + j;
+    for (i = 0; i < rows; ++i, to += columns) {
+      to[0] = a[i];
+      to[1] = b[i];
+      to[2] = c[i];
+      to[3] = d[i];
+    }
+  }
+  for (; j < columns; ++j, a += rows) {
+    real *restrict to = transposed + j;
+    for (i = 0; i < rows; ++i, to += columns) *to = a[i];
+  }
 }
 
 void kpirl_mpc_mirror(real *a, int n) {

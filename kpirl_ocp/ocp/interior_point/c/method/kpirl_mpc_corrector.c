@@ -95,7 +95,7 @@ void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least) {
   const int m = kpirl_mpc_n_inequalities(core);
   int i;
   core->step.tau = least;
-  core->step.positive = kpirl_mpc_factorise(core, 0);
+  core->step.positive = core->factored || kpirl_mpc_factorise(core, 0);
   if (!core->step.positive) return;
   for (i = 0; i < m; ++i) core->target[i] = least;
   if (m > 0) predict(core, least);

@@ -259,12 +259,12 @@ kpirl_mpc_status kpirl_mpc_core_solve(kpirl_mpc_core *core, const kpirl_mpc_numb
                                       kpirl_mpc_residuals *residuals) {
   const real barrier = (real)options->barrier, tolerance = (real)options->tolerance;
   kpirl_mpc_status status;
-  core->numbers = *numbers;
+  kpirl_mpc_set_numbers(core, numbers);
   core->options = *options;
   core->tolerance = tolerance; /* bounds multiplier * slack - tau: it has to be small beside tau */
   if (barrier > 0) core->tolerance = kpirl_mpc_smaller(tolerance, kpirl_mpc_larger((real)1e-6 * barrier, (real)1e-13));
   core->penalty = 0;
-  core->iterations = core->trials = core->failed = 0;
+  core->iterations = core->trials = 0;
   core->started = options->now ? options->now(options->clock) : 0;
   status = plan(core, start);
   kpirl_mpc_find_residuals(core, barrier, residuals);

@@ -48,6 +48,7 @@ int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
   kpirl_mpc_factors *factors = &core->factors;
   real *diagonal = core->right;
   int i, t;
+  core->factored = 0;
   memset(diagonal, 0, (size_t)n_w * sizeof(real));
   for (i = 0; i < m; ++i) core->weights[i] = core->at.z[i] / core->at.y[i];
   for (i = 0; i < core->n_lower; ++i) diagonal[core->lower[i]] += core->weights[i];

@@ -185,7 +185,7 @@ void kpirl_mpc_begin_lightly(kpirl_mpc_core *core, real tau) {
   int i;
   for (i = 0; i < m; ++i) z[i] = i < bounds ? 0 : tau / core->at.y[i];
   begin_with(core, tau);
-  if (bounds > 0 && !find_light_multipliers(core))
-    for (i = 0; i < bounds; ++i) z[i] = tau / core->at.y[i];
+  core->factored = bounds > 0 && find_light_multipliers(core);
+  for (i = 0; !core->factored && i < bounds; ++i) z[i] = tau / core->at.y[i];
   kpirl_mpc_push_bounds(core, z, core->at.nu, core->d.gradient);
 }
