@@ -6,7 +6,7 @@ import pytest
 
 from kpirl_ocp import OCP, Ipopt
 from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, direction
-from kpirl_ocp.ocp.conditions.steepness import _end, _stage, even_in_psi
+from kpirl_ocp.ocp.conditions.steepness import _end_coefficients, _stage_coefficients, nearly_constant_in_psi
 from kpirl_ocp.ocp.models import RBF, KeypointCost, TimeDependent
 
 S, U, P, C, D = (ca.SX.sym(name, size) for name, size in zip("supcd", (2, 1, 4, 1, 3), strict=True))
@@ -85,7 +85,7 @@ def test_coefficients_hardly_change_where_they_do_not_by_the_definition(case, mo
     monkeypatch.setattr("kpirl_ocp.ocp.conditions.steepness.compiled", lambda function: function)
     plan = Plan(problem, np.array(psi))
     move = STEP * direction(plan.psi)
-    assert even_in_psi(problem, plan, move) == changes_little(problem, plan, move)
+    assert nearly_constant_in_psi(problem, plan, move) == changes_little(problem, plan, move)
 
 
 class Plan:
@@ -100,15 +100,15 @@ class Plan:
 def test_a_plan_that_is_not_finite_shows_nothing():
     problem, psi = CASES["weights as they are"]
     plan = Plan(problem, np.array(psi))
-    assert even_in_psi(problem, plan, STEP * direction(plan.psi))
+    assert nearly_constant_in_psi(problem, plan, STEP * direction(plan.psi))
     plan.objective = np.nan
-    assert not even_in_psi(problem, plan, STEP * direction(plan.psi))
+    assert not nearly_constant_in_psi(problem, plan, STEP * direction(plan.psi))
 
 
 @pytest.mark.parametrize("case", ["weights as they are", "weights by the schedule", "a difference from a number"])
 def test_weights_of_squares_are_not_evaluated_beside_psi(case):
     problem, _ = CASES[case]
-    assert [listed(problem).rest for listed in (_stage, _end)] == [[], []]
+    assert [listed(problem).rest for listed in (_stage_coefficients, _end_coefficients)] == [[], []]
 
 
 @pytest.mark.parametrize("basis", [TimeDependent(), RBF(2)])
@@ -128,6 +128,6 @@ def test_the_paper_s_weights_are_not_evaluated_beside_psi(basis):
         terminal_cost=ca.substitute(value, u, 0 * u),
         horizon=4,
     )
-    assert [listed(problem).rest for listed in (_stage, _end)] == [[], []]
+    assert [listed(problem).rest for listed in (_stage_coefficients, _end_coefficients)] == [[], []]
     plan = Ipopt().solve(problem, [0.0, 1.0], cost.initial(4, 2), [1.0, 0.5])
-    assert even_in_psi(problem, plan, STEP * direction(plan.psi))
+    assert nearly_constant_in_psi(problem, plan, STEP * direction(plan.psi))

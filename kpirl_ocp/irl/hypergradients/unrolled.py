@@ -34,7 +34,7 @@ from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descents, direction
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_built
-from kpirl_ocp.ocp.conditions.steepness import even_in_psi
+from kpirl_ocp.ocp.conditions.steepness import nearly_constant_in_psi
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
@@ -186,7 +186,7 @@ def unrolled_gradients(
     steady = last == solver.steps and all(sweep.steady for sweep in sweeps)
     if steady and has_straight_steps(problem, loss, all(sweep.clear for sweep in sweeps)):
         move = STEP * direction(numbers)
-        if all(even_in_psi(problem, sweep.certificate.solution, move) for sweep in sweeps):
+        if all(nearly_constant_in_psi(problem, sweep.certificate.solution, move) for sweep in sweeps):
             return [sweep.result(0.0, wrong) for sweep in sweeps]
     ends = [
         LossAt(problem, loss, data_of(loss, problem, demonstration), _plan(sweep.certificate.solution))

@@ -2,8 +2,8 @@
 
     grad_w (J + lambda.g_E + mu.g_I + nu.w) = 0,   g_E = 0,   g_I <= 0,   mu >= 0,   mu g_I = 0
 
-and the same of the bounds on w, whose multipliers nu are positive at an upper and negative at a lower bound. With a
-barrier tau, multiplier times slack is tau.
+and the same for the bounds on w, whose multipliers nu are positive at an upper and negative at a lower bound. With a
+barrier parameter tau, multiplier times slack is tau instead of zero.
 """
 
 from __future__ import annotations

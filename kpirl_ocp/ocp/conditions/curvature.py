@@ -1,9 +1,11 @@
-"""The Hessian of the quadratic programs of SQP: the exact one of the Lagrangian, plus a weight where it bends down.
+"""The Hessian of SQP's quadratic programs: that of the Lagrangian, regularised where its curvature is negative.
 
-A quadratic program needs curvature along its constraints only. Whether there is some, the pivots of a Riccati recursion
-tell (Rao, Wright and Rawlings, 1998), with equalities and active inequalities as heavy quadratic costs. If there is,
-steps are Newton's, whatever the eigenvalues of the stages; if not, twice the least power of ten that helps is added for
-actions and free entries of s_0, as the inertia correction of Ipopt does (Waechter and Biegler, 2006, section 3.1).
+A quadratic program needs positive curvature only on the null space of its active constraints. The pivots of a Riccati
+recursion tell whether it has it (Rao, Wright and Rawlings, 1998); equalities and active inequalities enter there as
+quadratic costs with a large weight. If the curvature is positive, the exact Hessian is used and steps are Newton steps,
+whatever the eigenvalues of single stages. If not, a multiple of the identity is added for actions and free entries of
+s_0: twice the smallest power of ten that is enough, similar to Ipopt's inertia correction (Waechter and Biegler, 2006,
+section 3.1).
 """
 
 from __future__ import annotations
@@ -19,17 +21,18 @@ from kpirl_ocp.ocp.problem.layout import limits
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
 
-_MARGIN = 1e-7  # the least weight that is tried
-_HALVINGS = 5  # of the 2^5 weights _MARGIN, 10 _MARGIN, ..
-_HEAVY = 1e6  # cost of leaving a constraint, relative to the largest second derivative
-_ROUNDING = 1e-12  # pivots below it, relative to the largest second derivative, are not positive
-_AT_BOUND = 1e-8  # the tolerance of qrqp
+_MARGIN = 1e-7  # the smallest weight that is tried
+_HALVINGS = 5  # bisection steps over the 2^5 weights _MARGIN, 10 _MARGIN, ..
+_HEAVY = 1e6  # weight of constraints as quadratic costs, relative to the largest second derivative
+_ROUNDING = 1e-12  # pivots below this, relative to the largest second derivative, do not count as positive
+_AT_BOUND = 1e-8  # distance at which a bound counts as active: the tolerance of qrqp
 
 
 def hessian(problem: OCP) -> ca.Function:
-    """(w, (psi, c), factor of J, multipliers of the live rows) -> (n_w, n_w), the option hess_lag of sqpmethod.
+    """(w, (psi, c), factor of J, multipliers of the live rows) -> Hessian (n_w, n_w): sqpmethod's option hess_lag.
 
-    Multipliers that are all zero say nothing of curvature: if the cost alone bends down, costates take their place.
+    Multipliers that are all zero, as at a cold start, carry no information on the curvature of constraints: if the cost
+    alone has negative curvature, costates are used in their place.
     """
     program = transcribe(problem)
     *inputs, multipliers = _symbols(program)
@@ -40,12 +43,12 @@ def hessian(problem: OCP) -> ca.Function:
 
 
 def _symbols(program: Program) -> list[ca.MX]:
-    """w, psi, c, the factor of J, and multipliers."""
+    """Symbols for w, psi, c, the factor of J, and the multipliers."""
     return [*program.symbols, ca.MX.sym("factor"), ca.MX.sym("multipliers", program.rows.numel())]
 
 
 def _weighted(problem: OCP, program: Program) -> ca.Function:
-    """(w, psi, c, factor, multipliers) -> the exact Hessian plus the weight."""
+    """(w, psi, c, factor, multipliers) -> the exact Hessian, plus a multiple of the identity where it is needed."""
     at = _symbols(program)
     jacobian = ca.jacobian(program.rows, at[0])
     used = _or_costates(problem, program, at, jacobian)
@@ -58,7 +61,7 @@ def _weighted(problem: OCP, program: Program) -> ca.Function:
 
 
 def _or_costates(problem: OCP, program: Program, at: list[ca.MX], jacobian: ca.MX) -> ca.MX:
-    """The multipliers, or costates."""
+    """The multipliers, or costates where the multipliers are all zero and the cost has negative curvature."""
     *symbols, factor, multipliers = at
     of_cost, slope = ca.hessian(factor * program.values(*symbols)[0], symbols[0])
     bends_up = _positive(problem, jacobian, of_cost, _equalities(problem, program, jacobian))(0)
@@ -76,7 +79,10 @@ def _second(program: Program) -> ca.Function:
 
 
 def _positive(problem: OCP, jacobian: ca.MX, exact: ca.MX, held: ca.MX) -> Callable[[ca.MX | float], ca.MX]:
-    """Of a weight: whether the Hessian is positive with it, along the defects and the rows that are held."""
+    """A function of a weight: is the Hessian plus this weight positive on the null space of the held constraints?
+
+    held: (n_w, n_w) of `_equalities` or `_active`; the defects are always held.
+    """
     scale = ca.fmax(1, ca.mmax(ca.fabs(exact.nz[:]))) if exact.nnz() else ca.MX(1)
     matrix = exact + _HEAVY * scale * held
     slopes, curvature = (ca.MX.sym(name, value.sparsity()) for name, value in (("J", jacobian), ("H", matrix)))
@@ -86,13 +92,14 @@ def _positive(problem: OCP, jacobian: ca.MX, exact: ca.MX, held: ca.MX) -> Calla
 
 
 def _equalities(problem: OCP, program: Program, jacobian: ca.MX) -> ca.MX:
-    """(n_w, n_w) whose form is the squared change of all equalities but the defects, which the recursion keeps."""
+    """E^T E (n_w, n_w) with the Jacobian E of all equalities but the defects, which the recursion eliminates."""
     rows = jacobian[problem.horizon * problem.n_states : program.n_equalities, :]
     return rows.T @ rows
 
 
 def _active(problem: OCP, program: Program, jacobian: ca.MX, slope: ca.MX, multipliers: ca.MX) -> ca.MX:
-    """The same of inequalities with a multiplier, and of bounds that the slope of the Lagrangian pushes against."""
+    """The same matrix for inequalities with positive multipliers, and for active bounds: those at which w is, and
+    against which the negative gradient of the Lagrangian pushes."""
     w, rows = program.symbols[0], jacobian[program.n_equalities :, :]
     lower, upper = limits(problem)
     pushed = (w - lower <= _AT_BOUND) * (slope > 0) + (upper - w <= _AT_BOUND) * (slope < 0)
@@ -102,7 +109,7 @@ def _active(problem: OCP, program: Program, jacobian: ca.MX, slope: ca.MX, multi
 
 
 def _least(good: Callable[[ca.MX], ca.MX]) -> ca.MX:
-    """The first good one of the weights, by bisection; the last one if none is."""
+    """The smallest weight that is good enough, by bisection over the powers of ten; the largest if none is."""
     below, above = ca.MX(-1), ca.MX(2**_HALVINGS - 1)
     for _ in range(_HALVINGS):
         middle = (below + above) / 2
@@ -116,7 +123,7 @@ def _weight(rung: ca.MX) -> ca.MX:
 
 
 def _free(problem: OCP) -> Array:
-    """(n_w,) one for actions and free entries of s_0."""
+    """(n_w,) 1 for actions and free entries of s_0, 0 for the others."""
     states = np.zeros((problem.horizon + 1, problem.n_states))
     states[0] = problem.free_start
     return np.concatenate([states.ravel(), np.ones(problem.horizon * problem.n_actions)])

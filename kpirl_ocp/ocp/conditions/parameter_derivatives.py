@@ -5,10 +5,10 @@ and p = (psi, c),
 
     phi(p) = sum_t  dx_t . grad_x L_t + dlambda_t . f + dz_t . h + dnu_t . e
 
-is how (dx, dlambda, dz, dnu) weigh the conditions. `pull` gives its gradient by p, and `push` the changes of grad L, f,
-h and e along dp. Parameters enter the costs by way of their coefficients, see `kpirl_ocp.ocp.problem.trajectory_cost`,
-so that weights per step take O(T) operations for all steps together. Vectors over all stages are
-x = (s_0, u_0, s_1, .., s_T); costates (T n_s,); multipliers of h and g_T; those of e and e_T.
+is the sum of the conditions, weighted by (dx, dlambda, dz, dnu). `pull` gives its gradient by p, and `push` the changes
+of grad L, f, h and e along dp. Parameters enter the costs by way of their coefficients (see
+`kpirl_ocp.ocp.problem.trajectory_cost`), so that weights per step take O(T) operations for all steps together. Vectors
+over all stages are x = (s_0, u_0, s_1, .., s_T), costates (T n_s,), multipliers of h and g_T, and multipliers of e and e_T.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def _repeat(problem: OCP, last: bool) -> tuple[int, ca.DM]:
 
 
 def _functions(problem: OCP) -> list[tuple[str, bool]]:
-    """The names of those beside the costs that psi or the context can enter; True for those of the end."""
+    """Names of the functions other than costs that depend on psi or the context; True for those of the end."""
     found = []
     for names, last in ((_OF_STAGE, False), (_OF_END, True)):
         for name in names:
@@ -129,7 +129,7 @@ def _functions(problem: OCP) -> list[tuple[str, bool]]:
 
 
 def _weighted(problem: OCP, name: str, last: bool) -> tuple[type[Symbol], list[Symbol], Symbol, int]:
-    """Symbols (x, psi, c, d, multipliers ..) of a stage, the value of a function, and which multiplier is its own."""
+    """Symbols (x, psi, c, d, multipliers ..) of a stage, the value of a function, and the index of its multiplier."""
     (function,) = scalar([getattr(problem, name)])
     assert function is not None
     kind = ca.SX if function.is_a("SXFunction") else ca.MX

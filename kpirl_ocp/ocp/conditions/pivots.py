@@ -1,4 +1,4 @@
-"""A backward Riccati recursion over the stages of the program: whether a Hessian is positive along the dynamics."""
+"""A backward Riccati recursion that tells whether a Hessian is positive definite on the null space of the dynamics."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ import numpy as np
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
 
-Places = list[Array]  # of w, one array for each stage
+Places = list[Array]  # indices into w, one array for each stage
 
 
 def least_pivot(problem: OCP, jacobian: ca.MX, hessian: ca.MX, weight: ca.MX) -> ca.MX:
-    """The least pivot of a Hessian (n_w, n_w) plus the weight for actions and free entries of s_0.
+    """The smallest pivot of a Hessian (n_w, n_w) plus a weight on the diagonal for actions and free entries of s_0.
 
-    All pivots are positive exactly if the matrix is so on the null space of the defects' rows of the Jacobian.
-    hessian: couples no two stages.
+    All pivots are positive exactly if the matrix is positive definite on the null space of the defects' Jacobian.
+
+    hessian: block-diagonal, one block for each stage.
     """
     n_s, n_u, steps = problem.n_states, problem.n_actions, problem.horizon
     states, stages = _states(problem), _stages(problem)
@@ -29,7 +30,10 @@ def least_pivot(problem: OCP, jacobian: ca.MX, hessian: ca.MX, weight: ca.MX) ->
 
 
 def costates(problem: OCP, jacobian: ca.MX, slope: ca.MX) -> ca.MX:
-    """Multipliers (T n_s,) of the defects that make the slope (n_w,) of the cost by s_1 .. s_T zero."""
+    """Multipliers (T n_s,) of the defects with which the Lagrangian's gradient by s_1 .. s_T vanishes.
+
+    slope: (n_w,) gradient of the cost.
+    """
     n_s, steps, states = problem.n_states, problem.horizon, _states(problem)
     by_state = ca.reshape(ca.densify(slope)[: (steps + 1) * n_s], n_s, steps + 1)
     if steps == 1:
@@ -43,7 +47,7 @@ def costates(problem: OCP, jacobian: ca.MX, slope: ca.MX) -> ca.MX:
 
 
 def blocks(matrix: ca.MX, rows: Places, columns: Places) -> ca.MX:
-    """The dense blocks at these places of a sparse matrix, side by side."""
+    """The dense blocks of a sparse matrix at these rows and columns, side by side."""
     grids = [np.meshgrid(r, c) for r, c in zip(rows, columns, strict=True)]
     r, c = (np.concatenate([grid[k].ravel() for grid in grids]) for k in (0, 1))
     pattern = ca.Sparsity.triplet(*matrix.shape, r.tolist(), c.tolist())
@@ -57,7 +61,7 @@ def _states(problem: OCP) -> Places:
 
 
 def _stages(problem: OCP) -> Places:
-    """s_t and u_t for t = 0 .. T-1."""
+    """Indices of (s_t, u_t) for t = 0 .. T-1."""
     states = _states(problem)
     actions = len(states) * problem.n_states + np.arange(problem.horizon * problem.n_actions)
     pairs = zip(states[:-1], actions.reshape(problem.horizon, -1), strict=True)
@@ -65,7 +69,7 @@ def _stages(problem: OCP) -> Places:
 
 
 def _step(n_s: int, n_u: int) -> ca.Function:
-    """(P of s_next, Hessian of (s, u), f_s and f_u, weight) -> P of s, least pivot."""
+    """(P of s_next, Hessian of (s, u), (f_s, f_u), weight) -> P of s, smallest pivot."""
     P, H = ca.MX.sym("P", n_s, n_s), ca.MX.sym("H", n_s + n_u, n_s + n_u)
     F, weight = ca.MX.sym("F", n_s, n_s + n_u), ca.MX.sym("weight")
     on_actions = ca.diag(np.repeat([0.0, 1.0], [n_s, n_u]))
@@ -73,7 +77,7 @@ def _step(n_s: int, n_u: int) -> ca.Function:
 
 
 def _eliminate(n_kept: int, n_gone: int) -> ca.Function:
-    """A symmetric matrix -> its Schur complement (n_kept, n_kept), and the least pivot of the others."""
+    """A symmetric matrix -> the Schur complement (n_kept, n_kept) left by eliminating the last rows, smallest pivot."""
     n = n_kept + n_gone
     given = ca.SX.sym("M", n, n)
     M = [[given[i, j] for j in range(i + 1)] for i in range(n)]

@@ -1,4 +1,4 @@
-"""Functions that are polynomials of low degree, by the operations in their graphs."""
+"""Whether functions are polynomials of low degree, read off the operations in their graphs."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _POLYNOMIAL = frozenset(getattr(ca, f"OP_{name}") for name in f"{_MOVING} {_COMP
 
 
 def is_polynomial(function: ca.Function) -> bool:
-    """Does the function add and multiply, and nothing else? (A division is taken for none, by a constant even.)
+    """True if the function only adds and multiplies. (Division does not count, not even by a constant.)
 
-    Functions without a graph of operations (integrators, tables, callbacks) count as none, and so do those that are
-    told not to be differentiable (`is_diff_in`): CasADi takes zero for their derivatives.
+    False for functions without a graph of operations (integrators, tables, callbacks), and for those that are declared
+    not differentiable (`is_diff_in`): CasADi takes zero for their derivatives.
     """
     if not (all(function.is_diff_in()) and all(function.is_diff_out())):
         return False
@@ -33,26 +33,26 @@ def is_polynomial(function: ca.Function) -> bool:
 
 
 def is_quadratic(function: ca.Function) -> bool:
-    """Is it a polynomial, at most quadratic in each of its arguments?
+    """True for a polynomial that is at most quadratic in each of its arguments.
 
-    Then its derivatives by an argument are affine there: no scale of a sigmoid or a pole is hidden in them, on which
-    they would change within a small step.
+    Its derivative by an argument is then affine in that argument, and cannot change abruptly within a small step, as
+    that of a steep sigmoid or near a pole does.
     """
-    return is_polynomial(function) and not any(_bends(function, [i], 1) for i in range(function.n_in()))
+    return is_polynomial(function) and not any(_nonlinear(function, [i], 1) for i in range(function.n_in()))
 
 
 def is_affine_in(function: ca.Function, arguments: list[int]) -> bool:
-    """Is a polynomial affine in these arguments together?"""
-    return not _bends(function, arguments, 0)
+    """True if a polynomial is affine in these arguments together."""
+    return not _nonlinear(function, arguments, 0)
 
 
 def is_quadratic_in(function: ca.Function, arguments: list[int]) -> bool:
-    """Is a polynomial at most quadratic in these arguments together?"""
-    return not _bends(function, arguments, 1)
+    """True if a polynomial is at most quadratic in these arguments together."""
+    return not _nonlinear(function, arguments, 1)
 
 
-def _bends(function: ca.Function, arguments: list[int], derivatives: int) -> bool:
-    """Is the function, a polynomial, or its first derivative by these arguments, more than affine in them?"""
+def _nonlinear(function: ca.Function, arguments: list[int], derivatives: int) -> bool:
+    """True if the function, or for derivatives = 1 its Jacobian by these arguments, is not affine in them."""
     function = function if function.is_a("SXFunction") else function.expand()  # dependence is seen through calls
     given = [ca.SX.sym("x", *function.size_in(i)) for i in range(function.n_in())]
     x = ca.SX.sym("x", sum(given[i].numel() for i in arguments))

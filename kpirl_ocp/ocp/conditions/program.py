@@ -33,12 +33,12 @@ from kpirl_ocp.types import Array, KKTResiduals, Mask, Multipliers, Solution, St
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """The program of a problem in CasADi functions of (w (n_w,), psi, c).
+    """The nonlinear program of a problem, as CasADi functions of (w (n_w,), psi, c).
 
     symbols: w, psi, c.
     values: -> J, g_E (n_eq,), g_I (n_ineq,).
     first: also of (lambda (n_eq,), mu (n_ineq,)) -> gradient of J, and of J + lambda.g_E + mu.g_I, by w.
-    live: (n_eq,) True for equalities that are not switched off.
+    live: (n_eq,) True for equalities that the schedule does not switch off.
     """
 
     symbols: list[ca.MX]
@@ -99,12 +99,12 @@ def transcribe(problem: OCP) -> Program:
 
 
 def selected(column: ca.MX, rows: Mask) -> ca.MX:
-    """These rows of a column, (0, 1) if there are none."""
+    """The rows of a column that a mask (n,) selects; (0, 1) if there are none."""
     return column[np.flatnonzero(rows).tolist()] if rows.any() else ca.MX(0, 1)
 
 
 def limits_from(problem: OCP, s0: Array) -> tuple[Array, Array]:
-    """Lower and upper bounds (n_w,) of w, both s0 (n_s,) for the entries of s_0 that are given."""
+    """Lower and upper bounds (n_w,) of w; for given entries of s_0 both equal s0 (n_s,)."""
     start = np.concatenate([s0, np.zeros(problem.horizon * (problem.n_states + problem.n_actions))])
     fixed = given(problem)
     lower, upper = (np.where(fixed, start, bound) for bound in limits(problem))
@@ -112,7 +112,7 @@ def limits_from(problem: OCP, s0: Array) -> tuple[Array, Array]:
 
 
 def starting_point(problem: OCP, s0: Array, psi: Array, context: Array, guess: Guess) -> Array:
-    """w (n_w,) to start from: the guess as it stands but for given entries of s_0, or a rollout with zero actions.
+    """w (n_w,) to start from: the guess, with given entries of s_0 replaced, or a rollout with zero actions.
 
     Raises ProblemError for a guess that is no trajectory of this problem, or has multipliers of other shapes.
     """
@@ -130,14 +130,14 @@ def starting_point(problem: OCP, s0: Array, psi: Array, context: Array, guess: G
 def not_started(
     problem: OCP, w: Array, psi: Array, context: Array, why: str, status: Status = Status.NOT_FINITE
 ) -> Solution:
-    """The answer where nothing has come of a solve from w (n_w,)."""
+    """The result of a solve that could not start from w (n_w,): the point itself, with NaN residuals."""
     multipliers = unpack_multipliers(problem, *(np.zeros(n) for n in lengths(problem)))
     unknown = KKTResiduals(np.nan, np.nan, np.nan, np.nan, 1.0)
     return Solution(unpack(problem, w), multipliers, np.nan, unknown, status, 0, psi, context, message=why)
 
 
 def trajectory_of(problem: OCP, w: Array, s0: Array) -> Trajectory:
-    """The trajectory of w (n_w,), with the given entries of s_0 exactly so."""
+    """The trajectory of w (n_w,), with given entries of s_0 set exactly to s0."""
     trajectory = unpack(problem, w)
     trajectory.states[0] = np.where(problem.free_start, trajectory.states[0], s0)
     return trajectory

@@ -1,14 +1,14 @@
-"""Functions written out in scalar operations: CasADi evaluates them much faster than small matrices."""
+"""Functions in scalar operations (SX), which CasADi evaluates much faster than operations on small matrices (MX)."""
 
 from __future__ import annotations
 
 import casadi as ca
 
-_EXPANDED = 20_000  # nodes of a graph of matrices that is written out in scalars, at most
+_EXPANDED = 20_000  # nodes of the largest MX graph that is expanded
 
 
 def scalar(functions: list[ca.Function | None]) -> list[ca.Function | None]:
-    """All in scalar operations, or none of them."""
+    """All functions expanded to SX; or all as they are, if one of them cannot be expanded or is too large."""
     try:
         return [function if function is None else _expand(function) for function in functions]
     except (RuntimeError, _TooLarge):
@@ -16,7 +16,7 @@ def scalar(functions: list[ca.Function | None]) -> list[ca.Function | None]:
 
 
 class _TooLarge(Exception):
-    """A graph of matrices with too many nodes to be written out in scalars."""
+    """An MX graph with too many nodes to be expanded."""
 
 
 def _expand(function: ca.Function) -> ca.Function:

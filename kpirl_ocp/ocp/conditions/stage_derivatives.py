@@ -1,4 +1,4 @@
-"""Derivatives of the dynamics, stage by stage, as `OCP.dynamics_derivatives` has them."""
+"""Derivatives of the dynamics, stage by stage, from `OCP.dynamics_derivatives`."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def linearise_dynamics(problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, 
 
 @lru_cache(maxsize=64)
 def dynamics_second(problem: OCP) -> ca.Function:
-    """Of one stage: (s, u, p, lambda) -> f_s (n_s, n_s), f_u (n_s, n_u), (lambda . f)'' (n_x, n_x).
+    """(s, u, p, lambda) of one stage -> f_s (n_s, n_s), f_u (n_s, n_u), (lambda . f)'' (n_x, n_x).
 
-    p: of `OCP.transition`; psi where the dynamics see neither the context nor the schedule.
+    p: the parameters of `OCP.transition`; psi alone where the dynamics use neither the context nor the schedule.
     """
     n_s, n_p = problem.n_states, problem.transition.size1_in(2)
     sizes = {"s": n_s, "u": problem.n_actions, "p": n_p, "lambda": n_s}
@@ -36,16 +36,12 @@ def dynamics_second(problem: OCP) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def dynamics_jacobian(problem: OCP) -> ca.Function:
-    """Of one stage: (s, u, p) -> f_s (n_s, n_s), f_u (n_s, n_u)."""
+    """(s, u, p) of one stage -> f_s (n_s, n_s), f_u (n_s, n_u)."""
     *at, costate = dynamics_second(problem).mx_in()
     by_s, by_u, _ = dynamics_second(problem).call([*at, ca.MX.zeros(costate.shape)], True, False)
     return ca.Function("dynamics_jacobian", at, [by_s, by_u])
 
 
 def psi_by_stage(problem: OCP, psi: ca.MX) -> ca.MX:
-    """psi for every stage; (0, T) if the dynamics do not depend on it."""
-    return _repeat(problem, psi) if depends_on_psi(problem.transition) else ca.MX(0, problem.horizon)
-
-
-def _repeat(problem: OCP, value: ca.MX) -> ca.MX:
-    return ca.repmat(value, 1, problem.horizon)
+    """psi repeated for every stage, (n_psi, T); (0, T) if the dynamics do not depend on it."""
+    return ca.repmat(psi, 1, problem.horizon) if depends_on_psi(problem.transition) else ca.MX(0, problem.horizon)

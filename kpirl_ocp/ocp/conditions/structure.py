@@ -1,4 +1,4 @@
-"""The structure of a problem: is it a quadratic program, and are derivatives that it brings its own?"""
+"""Two checks of a problem: is it a quadratic program, and are user-supplied derivatives correct?"""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ROUNDING = 1e-9
 
 @lru_cache(maxsize=64)
 def quadratic_program(problem: OCP) -> bool:
-    """Is the cost quadratic and is all else affine in states and actions, so that second derivatives are constant?"""
+    """True if, in states and actions, the cost is quadratic and all else affine: second derivatives are constant."""
     rows = problem.path_constraint, problem.path_equality, problem.terminal_inequality, problem.terminal_equality
     constraints = [problem.dynamics, *(function for function in rows if function is not None)]
     costs = [problem.stage_cost, problem.terminal_cost]
@@ -32,15 +32,15 @@ def quadratic_program(problem: OCP) -> bool:
 
 
 def _trajectory(function: ca.Function) -> list[int]:
-    """Which arguments are s, and u where there is one: those before psi, the context and the schedule."""
+    """Indices of the arguments s and u, or s alone: those before psi, the context and the schedule."""
     return list(range(function.n_in() - 3))
 
 
 @lru_cache(maxsize=64)
 def own_derivatives_agree(problem: OCP) -> bool:
-    """Are the derivatives of the dynamics that a problem brings those of AD at a random point?
+    """True if `OCP.derivatives`, where a problem supplies them, agree with AD at a random point.
 
-    Analytic functions that agree at a random point agree everywhere.
+    Analytic functions that agree at a random point agree everywhere, with probability one.
     """
     if problem.derivatives is None:
         return True
@@ -54,7 +54,7 @@ def own_derivatives_agree(problem: OCP) -> bool:
 
 
 def same_numbers(given: Array, expected: Array) -> bool:
-    """Are the finite ones the same up to rounding, and is none finite in one place alone?"""
+    """True if both arrays are finite in the same entries, and equal there up to rounding."""
     finite = np.isfinite(expected)
     if (np.isfinite(given) != finite).any():
         return False
@@ -63,7 +63,7 @@ def same_numbers(given: Array, expected: Array) -> bool:
 
 
 def _linearised(problem: OCP, derivatives: DynamicsDerivatives) -> ca.Function:
-    """(s, u, psi, lambda) -> f, F' lambda, F and (lambda . f)'' one below the other."""
+    """(s, u, psi, lambda) -> f, F' lambda, F and (lambda . f)'', stacked in one column."""
     sizes = problem.n_states, problem.n_actions, problem.transition.size1_in(2), problem.n_states
     s, u, psi, costate = at = [ca.MX.sym("x", size) for size in sizes]
     given = psi if depends_on_psi(problem.transition) else ca.MX(0, 1)
