@@ -15,10 +15,12 @@ from problems import TABLE, integrator, network, swing_up
 from kpirl_ocp import OCP, Fatrop, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
+from kpirl_ocp.ocp.interior_point.library import library
 from kpirl_ocp.ocp.interior_point.machine_code import machine_code
 from kpirl_ocp.ocp.problem.solver import solve_and_linearise
 from kpirl_ocp.ocp.sensitivity import sensitivity
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, primal_dual
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem
+from kpirl_ocp.ocp.sensitivity.solution_arrays import as_row
 from kpirl_ocp.ocp.solvers.child_process import ChildProcess
 
 SOLVERS = {"riccati": (Riccati(), 1e-8, 1e-6), "fatrop": (Fatrop(), 1e-6, 1e-4)}  # solver, objective, multipliers
@@ -243,7 +245,9 @@ def test_second_derivatives_are_handed_over_where_a_solve_ended_with_them(name):
     found, derivatives = Riccati().solve_and_linearise(problem, s0, psi, context)
     np.testing.assert_array_equal(found.actions, Riccati().solve(problem, s0, psi, context).actions)
     instance = Instance(problem, s0, psi, context)
-    fresh = instance.derivatives(primal_dual(instance, found))
+    system, row = KKTSystem(instance), as_row(problem, found)
+    library().kpirl_mpc_kkt_stand(system.address, row.ctypes.data)
+    fresh = instance.derivatives(system.point)
     kept = {field.name: np.copy(getattr(derivatives, field.name)) for field in fields(derivatives)}
     for field, one in kept.items():
         other = getattr(fresh, field)

@@ -110,8 +110,8 @@ def differentiate(
     """
     derivative = sensitivity(problem, solution, "flag", derivatives)
     at = LossAt(problem, loss, data_of(loss, problem, demonstration), derivative.plan)
-    found, beside = derivative.pull_by_stage(at.slopes)
-    certificate, more = found.certificate, (nonfinite_failures(at.value, found.psi), at.kinks(beside))
-    if any(more):
-        certificate = replace(certificate, failures=(*more[0], *certificate.failures, *more[1]))
+    found, tangent = derivative.pull_by_stage(at.slopes)
+    certificate, nonfinite, kinks = found.certificate, nonfinite_failures(at.value, found.psi), at.kinks(tangent)
+    if nonfinite or kinks:
+        certificate = replace(certificate, failures=(*nonfinite, *certificate.failures, *kinks))
     return HypergradientResult(at.value, found.psi, certificate)

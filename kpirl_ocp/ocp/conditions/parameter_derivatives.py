@@ -8,7 +8,7 @@ and p = (psi, c),
 is the sum of the conditions, weighted by (dx, dlambda, dz, dnu). `pull` gives its gradient by p, and `push` the changes
 of grad L, f, h and e along dp. Parameters enter the costs by way of their coefficients (see
 `kpirl_ocp.ocp.problem.trajectory_cost`), so that weights per step take O(T) operations for all steps together. Vectors
-over all stages are x = (s_0, u_0, s_1, .., s_T), costates (T n_s,), multipliers of h and g_T, and multipliers of e and e_T.
+over all stages are x = (s_0, u_0, s_1, .., s_T), costates (T n_s,), multipliers of h and g_T, and those of e and e_T.
 """
 
 from __future__ import annotations

@@ -183,12 +183,10 @@ _OF_SYSTEMS = {
     "kkt_stand": 2,
     "kkt_linearise": 4,
     "kkt_evaluate": 2,
-    "kkt_take": 2,
     "kkt_select": 2,
     "kkt_condition": 1,
     "kkt_step": 1,
     "kkt_solve": 3,
-    "kkt_adjoint": 2,
     "kkt_change": 4,
     "kkt_pull": 4,
     "weigh": 7,
@@ -281,7 +279,7 @@ def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER] * count
     core.kpirl_mpc_certify_each.argtypes = [*[POINTER] * 4, INT, *[POINTER] * 2]
     core.kpirl_mpc_certify_each.restype = None
-    for name in ("kkt_solve", "kkt_adjoint", "kkt_change", "kink_in_parameters", "kink_of_loss"):
+    for name in ("kkt_solve", "kkt_change", "kink_in_parameters", "kink_of_loss"):
         getattr(core, f"kpirl_mpc_{name}").restype = REAL
     core.kpirl_mpc_kkt_init.restype = ctypes.c_size_t
     core.kpirl_mpc_core_view.argtypes = [POINTER] * 2

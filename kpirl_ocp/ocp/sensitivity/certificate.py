@@ -1,4 +1,4 @@
-"""Evidence for a derivative of a solution: the measured quantities, their bounds, and a sentence for each that fails.
+"""Evidence for the derivative of a solution: measured quantities, their bounds, and a sentence for each that fails.
 
 A derivative exists where the implicit function theorem holds: at a KKT point with linearly independent active
 constraints (LICQ), strict complementarity and a positive reduced Hessian. All of it is measured.
@@ -20,8 +20,8 @@ from kpirl_ocp.types import Mask, Solution, Status
 
 Policy = Literal["raise", "flag"]
 
-# Every bound sits well above what rounding and a solver tolerance of 1e-10 leave behind, and well below what a healthy
-# problem shows. All but that of the KKT residual are on relative numbers, so that no unit counts.
+# Every bound is far from what rounding and a solver tolerance of 1e-10 leave behind, and far from what well-posed
+# problems show. All but that of the KKT residual are on relative numbers, so that they do not depend on units.
 KKT_RESIDUAL = 1e-6
 CURVATURE = 1e-8
 QUALIFICATION = 1e-5
@@ -30,7 +30,7 @@ MARGIN = 1e-6
 CHANGE = 1e-4
 KINK = 1e-3
 LINEAR_RESIDUAL = 1e-8
-DISTANCE = 1e-4  # of what a solver calls as exact as rounding lets it be
+DISTANCE = 1e-4  # for solutions of status ACCEPTABLE
 WRONG_DERIVATIVES = "The problem's own derivatives are not those of its dynamics: correct them, or leave them out."
 _SOLVED = (Status.CONVERGED, Status.ACCEPTABLE)  # the KKT residual has a bound of its own
 
@@ -73,25 +73,25 @@ class SensitivityCertificate(Certificate):
     """Evidence for a derivative of the solution by the implicit function theorem.
 
     kkt_residual: of the solution, relative (`KKTResiduals.worst`).
-    curvature: smallest eigenvalue of the reduced Hessian, each decision in units of its own curvature within its own
-        and the next stage (`KKTSystem.roots`); the second-order condition asks it to be positive. Its sign is exact,
-        its size an estimate from above. Infinite when the active constraints leave no freedom.
+    curvature: smallest eigenvalue of the reduced Hessian, with every decision scaled by its own curvature within its
+        own and the next stage (`KKTSystem.roots`); positive at a strict minimum (second-order condition). Its sign is
+        exact, its size an upper estimate. Infinite when the active constraints leave no freedom.
     qualification: smallest singular value of the active Jacobian with rows of length one (LICQ); infinite when nothing
         is active.
-    distance: from the solution to the point that was differentiated, relative: Newton steps polish what a solver's
-        tolerance leaves, which is much where the unit of the cost is large.
-    step: length of a further Newton step on the KKT conditions with this active set, relative: the error there.
-    margin: smallest multiplier of an active and slack of an inactive row after that step (strict complementarity), each
-        relative to what it balances or is made of; infinite without inequalities.
-    change: relative change under that step of the adjoint; for a tangent, of the adjoint of a function whose slope it
-        is. Is the solution close enough to differentiate? Zero for quadratic programs, whose second derivatives are
-        the same everywhere.
-    kink: relative disagreement of derivatives, along the adjoint or the tangent and along psi, s_0 and the context,
-        with differences to either side: is the problem smooth here? Along x, quadratic programs are; without psi and
-        context along s_0, too.
-    linear_residual: of the adjoint or tangent system, relative.
+    distance: from the solution to the point that was differentiated, relative. Newton steps lead from one to the other
+        and remove the error that the solver's tolerance leaves, which is large where the unit of the cost is large.
+    step: length of one more Newton step on the KKT conditions with this active set, relative: the error there.
+    margin: after that step, the smallest multiplier of an active row or slack of an inactive one (strict
+        complementarity), relative to the terms that it balances or consists of; infinite without inequalities.
+    change: relative change of the adjoint under that step; for a tangent, of the adjoint of a function with the tangent
+        as its gradient. Small if the solution is close enough to be differentiated. Zero for quadratic programs, whose
+        second derivatives are constant.
+    kink: relative disagreement of derivatives with finite differences to either side, along the adjoint or tangent and
+        along psi, s_0 and the context. Large where the problem is not smooth. Quadratic programs are not tested along
+        x, and without psi and context not along s_0.
+    linear_residual: relative residual of the adjoint or tangent system.
     active: (n_rows,) bool; rows as in `sensitivity.rows.rows_of`: bounds, path constraints, then equalities.
-    barrier: tau; above zero the derivative is that of the smoothed problem.
+    barrier: tau; if it is positive, the derivative is that of the smoothed problem.
     """
 
     kkt_residual: float
@@ -108,7 +108,7 @@ class SensitivityCertificate(Certificate):
 
 
 def undefined(solution: Solution, active: Mask) -> SensitivityCertificate:
-    """The certificate where derivatives are NaN or infinite."""
+    """The certificate for a solution at which a derivative is NaN or infinite, so that nothing can be measured."""
     names = ("curvature", "qualification", "distance", "step", "margin", "change", "kink", "linear_residual")
     return SensitivityCertificate(
         solution=solution,
@@ -124,7 +124,7 @@ def undefined(solution: Solution, active: Mask) -> SensitivityCertificate:
 
 
 def certified(solution: Solution, active: Mask, evidence: Mapping[str, float]) -> SensitivityCertificate:
-    """The certificate of measurements, with a sentence for every failure."""
+    """The certificate from measurements, with a sentence for every condition that fails."""
     found = {"kkt_residual": solution.residuals.worst, **evidence}
     failures = [] if solution.status in _SOLVED else [_not_converged(solution)]
     if solution.status is Status.ACCEPTABLE and not found["distance"] <= DISTANCE:
@@ -139,11 +139,11 @@ def certified(solution: Solution, active: Mask, evidence: Mapping[str, float]) -
 def judged(
     policy: str, problem: OCP, solution: Solution, active: Mask, evidence: Mapping[str, float] | None
 ) -> SensitivityCertificate:
-    """The certificate of measurements, or of none where derivatives are not finite.
+    """The certificate from measurements; evidence is None where derivatives are not finite.
 
-    Derivatives that the problem brings have to be those of its dynamics.
+    It also fails if derivatives that the problem supplies (`OCP.derivatives`) are not those of its dynamics.
 
-    Raises CertificateError if it does not certify and the policy is not "flag".
+    Raises CertificateError if the certificate has failures and the policy is not "flag".
     """
     found = undefined(solution, active) if evidence is None else certified(solution, active, evidence)
     if not own_derivatives_agree(problem):

@@ -1,4 +1,7 @@
-"""Measurements for certificates, by evaluations nearby; the arithmetic is in C: `kpirl_mpc_certify.c`, `.._kinks.c`."""
+"""Measurements for certificates, from evaluations near the solution.
+
+The arithmetic is in C: `kpirl_mpc_certify.c` and `kpirl_mpc_kinks.c`.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +25,14 @@ from kpirl_ocp.types import Array
 def measure(
     core: Core, system: KKTSystem, nearby: Memory, slope: Array, direction: Array | None = None
 ) -> tuple[ByParameters, dict[str, float]]:
-    """Gradients of a function with a slope (n_w,), and the fields of a `SensitivityCertificate` that are measured.
+    """Gradients of a function of x with gradient `slope`, and the measured fields of a `SensitivityCertificate`.
 
     Args:
-        core: for evaluations.
-        system: at the solution.
-        nearby: memory for another; once measured, the one that a Newton step leads to.
-        slope: (n_w,) by x.
-        direction: (n_w,) along which the problem has to be smooth; by default the adjoint.
+        core: evaluates the problem's functions.
+        system: the KKT system at the solution.
+        nearby: memory for a second system, which will hold the one after a further Newton step.
+        slope: (n_w,) gradient by x.
+        direction: (n_w,) direction along which smoothness is tested; by default the adjoint.
     """
     found, evidence = ByParameters.empty(system.instance.problem), c.Evidence()
     structure, along = found.structure, None if direction is None else c.address_of(direction)
@@ -40,20 +43,21 @@ def measure(
 
 
 def fields_of(evidence: Any) -> dict[str, float]:
-    """The structure `kpirl_mpc_evidence` by the names of a `SensitivityCertificate`."""
+    """The structure `kpirl_mpc_evidence` as a dictionary with the field names of `SensitivityCertificate`."""
     return {name: float(getattr(evidence, name)) for name, *_ in evidence._fields_}
 
 
 def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:
-    """Relative disagreement with differences along psi, and jump of derivatives, of the conditions at a plan x (n_w,).
+    """The relative deviation from smoothness in psi of the conditions at a plan x (n_w,); infinite if not finite there.
 
-    They are weighted by random numbers; the plan need not be a solution.
+    Derivatives of a randomly weighted sum of the conditions are compared with finite differences along psi, and with
+    derivatives to either side. The plan need not be a solution.
     """
     rows, n_s = rows_of(problem), problem.n_states
     numbers = len(x), problem.horizon * n_s, len(rows.equality)
     one, costates, forces = (rows.uniform[:n] for n in numbers)
     system = KKTSystem(Instance(problem, x[:n_s], psi, context))
-    system.stand(PrimalDual(x, costates, forces))
+    system.set_point(PrimalDual(x, costates, forces))
     weights, by = Triple(PrimalDual(one * rows.sizes_of(x), costates, forces)), ByParameters.empty(problem)
     structure = by.structure
     with borrow_core(problem) as core:
@@ -70,12 +74,14 @@ def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:
 def loss_at(
     problem: OCP, build: Build, data: Array, x: Array, along: Array | None = None
 ) -> tuple[float, Array, float]:
-    """A loss at x (n_w,), its slopes (n_w,), and their relative jump or disagreement with differences there.
+    """A loss at x (n_w,), its gradient (n_w,), and how far it is from smooth there, relative.
+
+    The gradient is compared with finite differences, and with the gradients to either side.
 
     Args:
-        build: problem -> function (S, U, data) -> L, dL/dS, dL/dU, of dense matrices.
-        data: in the function's order, by columns.
-        along: (n_w,) direction of the differences, of which a millionth is taken; by default a random one.
+        build: problem -> function (S, U, data) -> L, dL/dS, dL/dU, all dense.
+        data: argument of the function, in column-major order.
+        along: (n_w,) the differences go a millionth of this vector to either side; by default of a random one.
     """
     rows, n_w = rows_of(problem), len(x)
     value, slopes, work, given = np.empty(1), np.empty(n_w), np.empty(8 * n_w), np.ascontiguousarray(data, float)

@@ -5,7 +5,7 @@ With v = (x, lambda, mu), p = (psi, s_0, c) and F(v; p) = (grad_x Lagrangian, de
     dv/dp = -(dF/dv)^{-1} dF/dp.
 
 `pull` is the vector-Jacobian product for a cotangent of x, `push` the Jacobian-vector product for a tangent of p.
-Whether the derivative exists is for a certificate to say (`sensitivity`).
+Whether the derivative exists is not checked here: `sensitivity` returns it with a certificate.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ class ByParameters(NamedTuple):
 
     @classmethod
     def empty(cls, problem: OCP, *count: int) -> ByParameters:
-        """Arrays to be filled, for one or for a count of functions: (count, n_psi), .. ."""
+        """Uninitialised arrays for one function, or for `count` functions: (count, n_psi), .. ."""
         return cls(*(np.empty((*count, size)) for size in (problem.n_parameters, problem.n_states, problem.n_context)))
 
     @property
     def structure(self) -> Any:
-        """For the C code."""
+        """The structure `kpirl_mpc_by_parameters` that shows these arrays to the C code."""
         return c.ByParameters(*map(c.address_of, self))
 
 
@@ -53,12 +53,12 @@ class ImplicitFunction:
 
     @classmethod
     def at(cls, problem: OCP, solution: Solution) -> ImplicitFunction:
-        """At a solution of a problem, smoothed with the solution's barrier."""
+        """Linearise and factorise at a solution; one with a barrier is a solution of the smoothed problem."""
         system = at_solution(problem, solution)
         return cls(system, Factorisation(system))
 
     def pull(self, adjoint: PrimalDual) -> ByParameters:
-        """Gradients of a function of x, from the solution of its adjoint system (`Factorisation.adjoint`)."""
+        """Gradients of a function of x by the parameters, from its adjoint (`Factorisation.adjoint`)."""
         problem = self.system.instance.problem
         found, weights = ByParameters.empty(problem), Triple(PrimalDual(adjoint.x, adjoint.costates, +adjoint.forces))
         structure = found.structure
@@ -68,9 +68,9 @@ class ImplicitFunction:
         return ByParameters(*(-by for by in found))
 
     def push(self, direction: ByParameters) -> tuple[PrimalDual, float]:
-        """Change of the solution when psi, s_0 and the context move, and the relative residual of its system.
+        """Change of the solution when psi, s_0 and the context change, and the relative residual of its system.
 
-        Entries of s_0 that are free do not follow `direction`.
+        Free entries of s_0 are decisions: their entries in `direction` are ignored.
         """
         system, instance = self.system, self.system.instance
         at, (z, nu) = system.point, instance.rows.split(system.point.forces)[1:]

@@ -3,15 +3,15 @@
     H x + A' lambda + C' mu = r,    A x = d,    C x = c
 
 Unknowns are in the order of time, x = (s_0, u_0, s_1, .., s_T). H is the exact Hessian of the Lagrangian, A the
-Jacobian of the defects, C that of equalities and active inequalities; all of them are products over stages.
-`factorisation` solves it.
+Jacobian of the defects, C that of equalities and active inequalities; products with them go stage by stage.
+`factorisation` solves the system.
 
 Smoothed with a barrier parameter tau, every inequality g <= 0 leaves C and adds mu / slack grad g grad g^T to H
 instead, with mu = tau / slack; only equalities stay in C.
 
-No unit counts: entries of x are compared with the largest size of their kind over the horizon, forces with the others
-that they are in balance with, and decisions by the curvature that each has on its own. The arithmetic is in C:
-`c/kpirl_mpc_kkt.h`.
+All comparisons are relative, so that they do not depend on units: each entry of x is compared with its largest absolute
+value over the horizon, a multiplier with the forces that it balances, and a decision is scaled by its own curvature.
+The arithmetic is in C: `c/kpirl_mpc_kkt.h`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from kpirl_ocp.types import Array, Mask, Solution
 
 @dataclass(frozen=True)
 class Instance:
-    """A problem with its numbers: s0 (n_s,), psi (n_psi,), context (n_c,), and barrier tau >= 0."""
+    """A problem with values of its parameters: s0 (n_s,), psi (n_psi,), context (n_c,), and barrier tau >= 0."""
 
     problem: OCP
     s0: Array
@@ -44,18 +44,18 @@ class Instance:
 
     @classmethod
     def of(cls, problem: OCP, solution: Solution) -> Instance:
-        """The one that was solved. Raises ProblemError when a length does not fit the problem."""
+        """The instance that a solution solves. Raises ProblemError when a length does not fit the problem."""
         s0, psi, context = problem.inputs(solution.states[0], solution.psi, solution.context)
         return cls(problem, s0, psi, context, solution.barrier)
 
     @property
     def rows(self) -> Rows:
-        """The constraints but the dynamics."""
+        """All constraints but the dynamics."""
         return rows_of(self.problem)
 
     @property
     def numbers(self) -> list[Array]:
-        """The arrays that the structure `kpirl_mpc_numbers` shows, in its order."""
+        """The arrays of the structure `kpirl_mpc_numbers`, in its order."""
         given = self.s0, self.psi, self.context, self.problem.schedule
         return [np.ascontiguousarray(array, float) for array in given]
 
@@ -65,7 +65,7 @@ class Instance:
             return core.values_at(self.s0, self.psi, self.context, self._arguments(point))
 
     def derivatives(self, point: PrimalDual) -> StageDerivatives:
-        """And second derivatives."""
+        """The same, with first and second derivatives."""
         with borrow_core(self.problem) as core:
             return core.derivatives_at(self.s0, self.psi, self.context, self._arguments(point))
 
@@ -75,7 +75,7 @@ class Instance:
 
 @dataclass(frozen=True)
 class PrimalDual:
-    """A point of the program: x (n_w,), costates (T n_s,), and multipliers of the rows (n_rows,)."""
+    """A primal-dual point: x (n_w,), costates (T n_s,), and multipliers of the rows (n_rows,), called forces."""
 
     x: Array
     costates: Array
@@ -83,7 +83,7 @@ class PrimalDual:
 
 
 class Memory:
-    """The structure `kpirl_mpc_kkt` for a problem, with its arrays; for one thread at a time."""
+    """The structure `kpirl_mpc_kkt` for a problem, with the arrays it points to; for one thread at a time."""
 
     def __init__(self, problem: OCP) -> None:
         rows = rows_of(problem)
@@ -94,15 +94,15 @@ class Memory:
 
 
 class KKTSystem:
-    """First and second derivatives at a point, and the active rows; rows are listed as in `Rows`.
+    """First and second derivatives at a point, and the active rows; rows are ordered as in `Rows`.
 
-    `linearise` and `at_solution` make one. Arrays that it shows are copies.
+    `linearise` and `at_solution` build one. Its properties return copies of the arrays.
 
     finite: True if no derivative holds NaN or infinity.
     """
 
     def __init__(self, instance: Instance, memory: Memory | None = None) -> None:
-        """A system without a point, in memory of its own or in given memory."""
+        """A system without a point yet, in its own memory or in the given one."""
         self.instance, self._memory, self._library = instance, memory or Memory(instance.problem), c.library()
         self.structure, self.address, self.finite = self._memory.structure, self._memory.address, False
         self._numbers = instance.numbers
@@ -118,7 +118,7 @@ class KKTSystem:
 
     @property
     def point(self) -> PrimalDual:
-        """Where it is taken."""
+        """The point of linearisation."""
         return self.read(self.structure.point)
 
     def read(self, triple: Any) -> PrimalDual:
@@ -126,33 +126,29 @@ class KKTSystem:
         sizes = zip(("x", "costates", "forces"), self.sizes_of_parts, strict=True)
         return PrimalDual(*(c.read(getattr(triple, name), size) for name, size in sizes))
 
-    def stand(self, point: PrimalDual) -> None:
-        """Set the point; derivatives are still those of another."""
+    def set_point(self, point: PrimalDual) -> None:
+        """Set the point; the derivatives are not evaluated yet."""
         for name, part in (("x", point.x), ("costates", point.costates), ("forces", point.forces)):
             array = np.ascontiguousarray(part, float)
             ctypes.memmove(getattr(self.structure.point, name), array.ctypes.data, array.nbytes)
         self.structure.evaluated = False
 
-    def take(self, derivatives: StageDerivatives) -> None:
-        """Take derivatives that are known at the point."""
-        view, self._kept = _view_of(derivatives)
-        self._library.kpirl_mpc_kkt_take(self.address, ctypes.addressof(view))
-
     def evaluate(self) -> None:
-        """Find the derivatives at the point."""
+        """Evaluate the derivatives at the point."""
         with borrow_core(self.instance.problem) as core:
             self._library.kpirl_mpc_kkt_evaluate(self.address, core.address)
 
     def select(self, active: Mask | None) -> None:
-        """Choose the active rows (n_rows,), by default those that the point suggests."""
+        """Set the active rows (n_rows,), by default those that the multipliers and slacks at the point suggest."""
         chosen = np.zeros(0) if active is None else np.ascontiguousarray(active, float)
         address = None if active is None else chosen.ctypes.data
         self.finite = bool(self._library.kpirl_mpc_kkt_select(self.address, address))
 
     def linearise_at(self, solution: Solution, core: Core, derivatives: StageDerivatives | None) -> None:
-        """All of these for a solution of the instance, polished by Newton steps where it is not exact (`distance`).
+        """Set point, derivatives and active rows for a solution of the instance.
 
-        Derivatives that are not known are found by a core.
+        Newton steps lead from the solution to a more exact point where that is needed
+        (`SensitivityCertificate.distance`). Derivatives that are not given are evaluated by the core.
         """
         row, known = as_row(self.instance.problem, solution), None
         if derivatives is not None:
@@ -163,7 +159,7 @@ class KKTSystem:
 
     @property
     def active(self) -> Mask:
-        """(n_rows,) which rows are constraints."""
+        """(n_rows,) True for rows of C: equalities and active inequalities."""
         return self._of_system("active", self.sizes_of_parts[2]) != 0
 
     @property
@@ -173,26 +169,25 @@ class KKTSystem:
 
     @property
     def sizes(self) -> Array:
-        """(n_w,) the largest absolute value of each entry of x over the horizon, finite bounds included."""
+        """(n_w,) the largest absolute value over the horizon of each entry of x, and of its finite bounds."""
         return self._of_system("sizes", self.sizes_of_parts[0])
 
     @property
-    def beside(self) -> Array:
-        """(n_w,) how x moves with psi, s_0 and the context in the direction that a certificate took for them.
+    def parameter_tangent(self) -> Array:
+        """(n_w,) change of x along the direction of (psi, s_0, c) in which the certificate tested smoothness.
 
-        Zero where no certificate was asked for gradients by them, with a barrier, and for a quadratic program without
-        psi and context.
+        Zero before a certificate has been measured, with a barrier, and for quadratic programs without psi and context.
         """
         return c.read(self.structure.beside, self.sizes_of_parts[0])
 
     @property
     def roots(self) -> Array:
-        """(n_decisions,) of the curvature of each decision by itself, the largest over the horizon."""
+        """(n_decisions,) square root of the curvature of each decision by itself, the largest over the horizon."""
         return self._of_system("roots", len(self.instance.rows.decisions))
 
     @property
     def derivatives(self) -> StageDerivatives:
-        """At the point."""
+        """Values and derivatives at the point."""
         problem, (n_w, n_c, m) = self.instance.problem, self.sizes_of_parts
         T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
         matrices = {
@@ -212,11 +207,11 @@ class KKTSystem:
         )
 
     def times(self, x: Array) -> Array:
-        """rows x (n_rows,)."""
+        """The Jacobian of all rows times x, (n_rows,)."""
         return self._filled("rows_times", self.sizes_of_parts[2], x)
 
     def transposed_times(self, forces: Array) -> Array:
-        """rows' forces (n_w,)."""
+        """The transposed Jacobian of all rows times forces, (n_w,)."""
         pushed = np.zeros(self.sizes_of_parts[0])
         self._library.kpirl_mpc_rows_push(self.address, forces.ctypes.data, pushed.ctypes.data)
         return pushed
@@ -241,17 +236,17 @@ class KKTSystem:
 
 
 class Triple:
-    """x, costates and forces of a point, or the right-hand side of a system, for the C code."""
+    """The structure `kpirl_mpc_triple` for the C code: a point, or the right-hand side of a system."""
 
     def __init__(self, point: PrimalDual, start: Array | None = None) -> None:
-        """start: (n_s,) given entries of s_0, of a right-hand side."""
+        """start: (n_s,) given entries of s_0, for a right-hand side."""
         arrays = [point.x, point.costates, point.forces, *([] if start is None else [start])]
         self._kept = [np.ascontiguousarray(array, float) for array in arrays]
         self._structure = c.Triple(*map(c.address_of, self._kept))
 
     @property
     def address(self) -> int:
-        """Of the structure `kpirl_mpc_triple`."""
+        """Address of the structure."""
         return ctypes.addressof(self._structure)
 
     @property
@@ -261,22 +256,15 @@ class Triple:
 
 
 def _view_of(derivatives: StageDerivatives) -> tuple[Any, list[Array]]:
-    """The structure `kpirl_mpc_view`, and what must be kept as long."""
+    """The structure `kpirl_mpc_view`, and the arrays that must live as long as it is used."""
     names = ("defects", "path", "equality", "gradient", "F", "G", "E", "H")
     arrays = [np.ascontiguousarray(getattr(derivatives, name), float) for name in names]
     view = c.View(**dict(zip(names, map(c.address_of, arrays), strict=True)), objective=derivatives.objective)
     return view, arrays
 
 
-def primal_dual(instance: Instance, solution: Solution) -> PrimalDual:
-    """The point of a solution."""
-    system, row = KKTSystem(instance), as_row(instance.problem, solution)
-    c.library().kpirl_mpc_kkt_stand(system.address, c.address_of(row))
-    return system.point
-
-
 def at_solution(problem: OCP, solution: Solution) -> KKTSystem:
-    """The KKT system of a solution, smoothed with its barrier. Raises ProblemError when it is of another problem."""
+    """The KKT system at a solution, smoothed with its barrier. Raises ProblemError when it is of another problem."""
     check_solution(problem, solution)
     system = KKTSystem(Instance.of(problem, solution))
     with borrow_core(problem) as core:
@@ -285,9 +273,9 @@ def at_solution(problem: OCP, solution: Solution) -> KKTSystem:
 
 
 def linearise(instance: Instance, point: PrimalDual, active: Mask | None = None) -> KKTSystem:
-    """The KKT system at a point for an active set, by default the one that the point suggests."""
+    """The KKT system at a point for an active set, by default the one that `KKTSystem.select` chooses."""
     system = KKTSystem(instance)
-    system.stand(point)
+    system.set_point(point)
     system.evaluate()
     system.select(active)
     return system

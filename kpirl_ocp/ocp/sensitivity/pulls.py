@@ -1,4 +1,4 @@
-"""Gradients of functions of several solutions of a problem, in one call into C in which other threads may run."""
+"""Gradients at several solutions of a problem in one call into C, which releases the GIL."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _EVIDENCE = np.dtype(c.Evidence)
 
 
 class _Answers:
-    """Findings of the C code about B gradients, one row each.
+    """Arrays into which the C code writes B gradients and their evidence, one row each.
 
-    by_parameters: (B, n_psi), (B, n_s), (B, n_c). evidence: (B,) structures. active: (B, n_rows) and finite (B,): zero
-        for no. Without finite derivatives and slopes there are no numbers in the first two.
+    by_parameters: (B, n_psi), (B, n_s), (B, n_c). evidence: (B,) structures. active: (B, n_rows), nonzero for active
+        rows. finite: (B,) zero where derivatives or slopes are not finite; the rows of the first two are then not set.
     """
 
     def __init__(self, problem: OCP, count: int) -> None:
@@ -37,11 +37,11 @@ class _Answers:
 
 
 def pull_each(problem: OCP, solutions: Sequence[Solution], by_states: Array, by_actions: Array) -> list[Gradients]:
-    """`Sensitivity.pull` for B solutions of a problem, each with the slopes of a function; certificates flag.
+    """`Sensitivity.pull` under the policy "flag" for B solutions of a problem, with one function each.
 
     Args:
-        problem: that was solved.
-        solutions: that fit it, see `check_solution`.
+        problem: the problem that was solved.
+        solutions: B solutions that fit it, see `check_solution`.
         by_states: dL/dS of each (B, T+1, n_s).
         by_actions: dL/dU of each (B, T, n_u).
     """
@@ -55,7 +55,7 @@ def pull_each(problem: OCP, solutions: Sequence[Solution], by_states: Array, by_
     )
     with borrow_core(problem) as core:
         at = core.kept(Workspace)
-        at.leave()
+        at.release()
         function = core.function(parameter_derivatives.pull, uses=len(rows))
         addresses = at.here.address, at.nearby.address, core.address, function
         ends = ctypes.addressof(questions), ctypes.addressof(answers.structure)
@@ -64,7 +64,7 @@ def pull_each(problem: OCP, solutions: Sequence[Solution], by_states: Array, by_
 
 
 def _gradients(problem: OCP, solutions: Sequence[Solution], slopes: Array, answers: _Answers) -> list[Gradients]:
-    """Records of what was found, whose arrays show it."""
+    """One record per solution; their arrays are views of the answers."""
     psi, s0, context = answers.by_parameters
     s0 += slopes[:, : problem.n_states]
     s0[:, problem.free_start] = 0

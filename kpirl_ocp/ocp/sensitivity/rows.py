@@ -1,7 +1,7 @@
-"""The constraints of a problem but its dynamics, in one list of rows.
+"""All constraints of a problem but its dynamics, as one list of rows.
 
-Finite lower bounds of w = (s_0 .. s_T, u_0 .. u_{T-1}), finite upper bounds, h stage by stage, g_T, e stage by stage,
-e_T. Unknowns are in the order of time, x = (s_0, u_0, s_1, .., s_T).
+The order is: finite lower bounds of w = (s_0 .. s_T, u_0 .. u_{T-1}), finite upper bounds, h stage by stage, g_T, e
+stage by stage, e_T. Unknowns are in the order of time, x = (s_0, u_0, s_1, .., s_T).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from kpirl_ocp.types import Array, Indices, Mask
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of a problem, and which of its unknowns are decisions.
+    """The rows of a problem, and which of its unknowns are decisions.
 
-    bounds: with entries of x. free: entries of s_0 that are decisions.
-    inequality: (n_rows,) True for rows that may be active or not. equality: (n_rows,) True for those that always are.
-    Rows that are switched off, and the second side of coinciding bounds, are neither.
+    bounds: of x; their `entries` are indices into x. free: indices of the free entries of s_0.
+    inequality: (n_rows,) True for rows that may be active or not. equality: (n_rows,) True for rows that always are.
+    Rows that are switched off, and the upper one of two equal bounds, are neither.
     """
 
     problem: OCP
@@ -39,41 +39,41 @@ class Rows:
 
     @property
     def n_bounds(self) -> int:
-        """Rows of bounds."""
+        """Number of rows that are bounds."""
         return len(self.bounds.entries)
 
     @property
     def n_x(self) -> int:
-        """Entries of x at one stage."""
+        """Number of entries of x at one stage, n_s + n_u."""
         return self.problem.n_states + self.problem.n_actions
 
     @cached_property
     def decisions(self) -> Indices:
-        """(n_decisions,) entries of x: free ones of s_0, then actions."""
+        """(n_decisions,) indices into x of the free entries of s_0, then of the actions."""
         steps, n_s = np.arange(self.problem.horizon)[:, None], self.problem.n_states
         actions = steps * self.n_x + np.arange(n_s, self.n_x)
         return np.concatenate([self.free, actions.ravel()]).astype(np.intp)
 
     def split(self, values: Array) -> tuple[Array, Array, Array]:
-        """Of the bounds, of h and g_T, and of e and e_T."""
+        """Split values (n_rows,) into those of the bounds, those of h and g_T, and those of e and e_T."""
         end = self.n_bounds + self.problem.horizon * self.problem.n_path + self.problem.n_terminal
         return values[: self.n_bounds], values[self.n_bounds : end], values[end:]
 
     @cached_property
     def largest_bound(self) -> Array:
-        """(n_w,) the largest finite bound of each entry of x, zero where there is none."""
+        """(n_w,) the largest absolute value of finite bounds on each entry of x, zero where there is none."""
         largest = np.zeros(self.problem.horizon * self.n_x + self.problem.n_states)
         np.maximum.at(largest, self.bounds.entries, np.abs(self.bounds.limits))
         return largest
 
     @cached_property
     def dimensions(self) -> Any:
-        """Those of the problem for the C code."""
+        """The structure with the dimensions of the problem, for the C code."""
         return dimensions_of(self.problem)
 
     @cached_property
     def structure(self) -> Any:
-        """The rows for the C code, `kpirl_mpc_rows`. It keeps its arrays; whoever keeps its address has to keep it."""
+        """The structure `kpirl_mpc_rows`. It keeps its arrays alive, and must live as long as its address is used."""
         rows = c.Rows(n_free=len(self.free), n_bounds=self.n_bounds, n_decisions=len(self.decisions))
         rows.quadratic = quadratic_program(self.problem)
         arrays = self._arrays()
@@ -83,7 +83,7 @@ class Rows:
         return rows
 
     def _arrays(self) -> dict[str, Any]:
-        """Contents of the structure. Random numbers are the same for every problem of a size."""
+        """Contents of the structure. The random numbers depend only on the size of the problem."""
         n_w, m, bounds = len(self.largest_bound), len(self.inequality), self.bounds
         longest = max(n_w, m, self.problem.n_parameters, self.problem.n_context)
         integers: dict[str, Any] = {"free": self.free, "entries": bounds.entries, "decisions": self.decisions}
@@ -98,12 +98,12 @@ class Rows:
 
     @property
     def uniform(self) -> Array:
-        """Random numbers in [1/2, 1), as many as the longest array of the problem has."""
+        """Random numbers in [1/2, 1), as many as the longest vector of the problem has entries."""
         found: Array = self.structure.arrays["uniform"]
         return found
 
     def sizes_of(self, x: Array) -> Array:
-        """(n_w,) the largest absolute value of each entry of x over the horizon, finite bounds included."""
+        """(n_w,) the largest absolute value over the horizon of each entry of x, and of its finite bounds."""
         sizes, given = np.empty(len(x)), np.ascontiguousarray(x, float)
         kept = self.dimensions, self.structure
         addresses = (ctypes.addressof(part) for part in kept)
@@ -112,7 +112,7 @@ class Rows:
 
     @cached_property
     def n_memory(self) -> int:
-        """Numbers that the C code keeps of a point, `kpirl_mpc_kkt_init`."""
+        """Length of the array that `kpirl_mpc_kkt_init` takes as memory."""
         kept = c.KKT(), self.dimensions, self.structure
         return int(c.library().kpirl_mpc_kkt_init(*(ctypes.addressof(part) for part in kept), None))
 

@@ -1,4 +1,4 @@
-"""The arrays of solutions as the C code is given them."""
+"""Solutions as flat rows of numbers, for the C code."""
 
 from __future__ import annotations
 
@@ -40,6 +40,6 @@ def as_rows(problem: OCP, solutions: Sequence[Solution]) -> Array:
 
 @lru_cache(maxsize=64)
 def _arrays(problem: OCP) -> tuple[attrgetter[tuple[Array, ...]], dict[str, tuple[int, ...]]]:
-    """Solution -> its arrays in the order of a row; and the shapes of these, of psi and of the context, by name."""
+    """A getter of a solution's arrays in the order of a row; and their shapes and those of psi and context, by name."""
     shapes = solution_rows(problem).shapes
     return attrgetter(*shapes), shapes | {"psi": (problem.n_parameters,), "context": (problem.n_context,)}

@@ -1,11 +1,11 @@
-"""The derivative of a solution by what it was solved for: psi, the initial state s_0 and the context c.
+"""The derivative of a solution with respect to psi, the initial state s_0 and the context c.
 
     at = sensitivity(problem, solution)
     at.pull(by_states, by_actions)     dL/dpsi, dL/ds_0, dL/dc  of any function L(S, U) with these slopes
     at.push(psi=dpsi)                  dS, dU                   when psi, s_0 and c move
 
-Both are products with dv/dp of `implicit_function`, one solve each however many parameters there are, and each comes
-with its certificate.
+Both are products with dv/dp of `implicit_function`. Each takes one linear solve, however many parameters there are, and
+comes with its certificate.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ class Gradients(Brief):
 
     @classmethod
     def of_plan(cls, problem: OCP, slope: Array, found: ByParameters, certificate: SensitivityCertificate) -> Gradients:
-        """From those by way of the other states and actions: `slope` (n_w,) holds the one by s_0 itself."""
+        """The gradients `found` through the other states and actions, and the direct one by s_0 in `slope` (n_w,)."""
         s0 = np.where(problem.free_start, 0.0, slope[: problem.n_states] + found.s0)
         return cls(found.psi, s0, found.context, certificate)
 
     @classmethod
     def undefined(cls, problem: OCP, certificate: SensitivityCertificate) -> Gradients:
-        """NaN."""
+        """All NaN: there is no gradient."""
         psi, s0, context = (
             np.full(size, np.nan) for size in (problem.n_parameters, problem.n_states, problem.n_context)
         )
@@ -78,8 +78,8 @@ def sensitivity(
     A solution of the problem smoothed with a barrier has the derivative of that problem.
 
     Args:
-        problem: that was solved.
-        solution: of it; psi, context and s_0 = states[0] are those that it was solved for.
+        problem: the problem that was solved.
+        solution: its solution; psi, context and s_0 = states[0] are those that it was solved for.
         policy: what to do with a derivative that is not certified: "raise" CertificateError, or "flag" it in its
             certificate.
         derivatives: at the solution, where the solver ended with them (`solve_and_linearise`).
@@ -108,7 +108,7 @@ class Sensitivity:
         """Gradients of a function L of the trajectory.
 
         Args:
-            by_states: dL/dS (T+1, n_s); row 0 is the slope by s_0 at fixed other states.
+            by_states: dL/dS (T+1, n_s); row 0 is the derivative by s_0 with the other states fixed.
             by_actions: dL/dU (T, n_u).
 
         Raises:
@@ -120,24 +120,24 @@ class Sensitivity:
 
     @property
     def plan(self) -> Array:
-        """(n_w,) what is differentiated, in the order of time: the solution, or where Newton steps lead from it."""
+        """(n_w,) the plan that is differentiated, in the order of time: the solution after Newton steps, if any."""
         with borrow_core(self.problem) as core:
             return self._linearised(core).system.point.x
 
     def pull_by_stage(self, slope: Array) -> tuple[Gradients, Array]:
-        """`pull` of a slope (n_w,) in the order of time, (s_0, u_0, s_1, .., s_T), and `KKTSystem.beside` (n_w,)."""
+        """`pull` of a slope (n_w,) in the order (s_0, u_0, s_1, .., s_T), and `KKTSystem.parameter_tangent` (n_w,)."""
         with borrow_core(self.problem) as core:
             at = self._linearised(core)
             if not (at.system.finite and np.isfinite(slope).all()):
                 return Gradients.undefined(self.problem, self._certificate(at, None)), np.zeros(slope.shape)
             found, evidence = measure(core, at.system, at.nearby, slope)
-            certificate, beside = self._certificate(at, evidence), at.system.beside
-        return Gradients.of_plan(self.problem, slope, found, certificate), beside
+            certificate, tangent = self._certificate(at, evidence), at.system.parameter_tangent
+        return Gradients.of_plan(self.problem, slope, found, certificate), tangent
 
     def push(
         self, psi: ArrayLike | None = None, s0: ArrayLike | None = None, context: ArrayLike | None = None
     ) -> Tangent:
-        """The change of the trajectory when psi, s_0 and the context move; those left out stay.
+        """The change of the trajectory when psi, s_0 and the context change; those left out stay the same.
 
         Args:
             psi: dpsi (n_psi,).
@@ -169,7 +169,7 @@ class Sensitivity:
         return self.problem.n_parameters, self.problem.n_states, self.problem.n_context
 
     def _linearised(self, core: Core) -> Workspace:
-        """The workspace of a core, with the KKT system of this solution in it."""
+        """The workspace of a core, holding the KKT system of this solution."""
         at = core.kept(Workspace)
         if at.owner() is not self:
             at.system = KKTSystem(self._instance, at.here)
@@ -182,17 +182,17 @@ class Sensitivity:
 
 
 class Workspace:
-    """Memory for the KKT system at a solution of a problem, and for the one nearby.
+    """Memory for the KKT system at a solution of a problem, and for a second one nearby.
 
-    owner: the `Sensitivity` whose solution it is.
+    owner: returns the `Sensitivity` whose KKT system it holds, or None.
     """
 
     system: KKTSystem
 
     def __init__(self, problem: OCP) -> None:
         self.here, self.nearby = Memory(problem), Memory(problem)
-        self.leave()
+        self.release()
 
-    def leave(self) -> None:
-        """Belong to nobody."""
+    def release(self) -> None:
+        """Forget whose KKT system it holds."""
         self.owner: Callable[[], Sensitivity | None] = lambda: None
