@@ -1,12 +1,13 @@
-"""The relative change of psi up to which derivatives of the dynamics, along gradient steps, stay the same.
+"""The relative change of psi up to which the derivatives of the dynamics, at all gradient steps, hardly change.
 
-Steps beside psi look for steep places and kinks within a millionth of psi. Dynamics that bound how fast their
-derivatives change (`TrajectoryPasses.clearance`) have none where states and actions move but little. That bound is
-proven; the size of the move is measured, at the last iterate, for a psi that changes by its own size:
+A certificate looks for kinks and steep places by descending again at psi moved by a millionth. That can be left out
+where states and actions provably move too little to meet any. `TrajectoryPasses.clearance` gives a proven bound: how
+far states and actions may move before derivatives of the dynamics change. How far they do move is estimated at the last
+iterate, for a psi that changes by its own size:
 
     dU = N alpha d(dJ/dU),    dS = the tangent of the rollout along dU,
 
-and a tenth of each state and action at least. What the steps enlarge differences by is left to the caller.
+and at least a tenth of each state and action. The amplification of differences by the steps is left to the caller.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 
-_SHARE = 0.1  # of its size by which everything is taken to move at least: other iterates may move more than the last
+_SHARE = 0.1  # least move of states and actions, relative to their size: other iterates may move more than the last
 
 
 def allowed_move(
@@ -30,14 +31,14 @@ def allowed_move(
     theta: Coefficients,
     extremes: ca.MX,
 ) -> ca.MX:
-    """The one of psi (n_psi, B) for all B trajectories; 0 where no bound is known.
+    """The relative change of psi (n_psi, B) that is allowed for all B trajectories; 0 where no bound is known.
 
     Args:
         reduced: the cost of B trajectories.
         solver: the descent, of N steps of length alpha.
-        at: the last iterate.
+        at: linearisation at the last iterate.
         psi, theta: parameters and coefficients of the cost.
-        extremes: (n, 1) the smallest of all iterates.
+        extremes: (n, 1) the smallest over all iterates, see `Rollout.extremes`.
     """
     if at.rollout.extremes is None:
         return ca.MX(0.0)
@@ -58,6 +59,6 @@ def _moves(
 
 
 def _own_size(psi: ca.MX) -> ca.MX:
-    """As in `direction`: at least a share of the largest, and ones where all are zero."""
+    """|psi|, but at least a share of the largest parameter; ones if all are zero. As in `direction`."""
     size = ca.mmax(ca.fabs(psi))
     return ca.if_else(size > 0, ca.fmax(ca.fabs(psi), SMALL * size), 1)

@@ -1,13 +1,13 @@
-"""The gradient by re-solving at shifted parameters: slow, independent of every derivative, and checked.
+"""The gradient from solves at shifted parameters: slow, but independent of derivatives, and checked.
 
 For each parameter, central differences at steps h, h/2, h/4, h/8 are extrapolated to h = 0 (Ridders, Accurate
 computation of F'(x) and F'(x) F''(x), 1982). The step balances truncation, O(h^2) before extrapolation, against the
 noise of the inner solve divided by h: with solves to 1e-10 the default reaches about eight digits.
 
-Central differences agree with each other even on a kink, so one-sided differences are compared as well: their gap
-must vanish with h. And they agree where something changes between psi and psi + h/8, so that those of h/1000 must agree
-with the rest. No difference tells a saddle from a minimum, or the derivative of a step from zero: the solution at psi,
-and the loss there, have to pass the tests of the implicit gradient, too; its numbers are not used.
+Central differences agree with each other even on a kink, so one-sided differences are compared as well: their gap must
+vanish with h. They also agree if something changes only between psi and psi + h/8, so differences at h/1000 must agree
+with them. No difference tells a saddle point from a minimum, or the derivative of a step from zero; so the solution at
+psi and the loss there must also pass the tests of the implicit gradient, whose value is not used.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 from kpirl_ocp.types import Array, Demonstration, Solution
 
 _LEVELS = 4
-_NEARBY = 1e-3  # of the largest h
+_NEARBY = 1e-3  # the much smaller h, relative to the largest
 # Largest tolerated disagreement of the extrapolations, and gap of the one-sided differences, relative to the slopes.
 DISAGREEMENT = 1e-5
 GAP = 1e-3
@@ -103,7 +103,7 @@ class FiniteDifference:
         return enforce(self.policy, HypergradientResult(value, gradient, certificate))
 
     def _evidence(self, problem: OCP, demonstration: Demonstration, solution: Solution) -> Sequence[str]:
-        """Failures of the solution and of the loss there, whatever the differences are."""
+        """Failures of the solution at psi and of the loss there, independent of the differences."""
         if not solution.status.ok or not np.isfinite(solution.states).all():
             return ()
         if isinstance(self.solver, GradientDescent):

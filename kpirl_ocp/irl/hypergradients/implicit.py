@@ -5,7 +5,7 @@ theorem gives
 
     dL/dpsi = -vbar . dF/dpsi,    (dF/dv) vbar = (dL/dw, 0, 0),
 
-one adjoint solve with the symmetric KKT matrix, however many parameters there are. It is a backward and a forward
+one adjoint solve with the symmetric KKT matrix, however many parameters there are. It takes a backward and a forward
 pass over the stages (`kpirl_ocp.ocp.sensitivity`): O(T) in time and memory.
 """
 
@@ -80,7 +80,7 @@ class Implicit:
     ) -> list[HypergradientResult]:
         """One result per demonstration, the numbers of single calls; with `Riccati` side by side in threads.
 
-        guesses: to start from, one per demonstration; None starts all from no action.
+        guesses: initial guesses, one per demonstration; None starts all from zero actions.
         """
         threads = None if isinstance(self.solver, Riccati) and len(demonstrations) > 1 else 1
         one = partial(self._evaluate, problem, psi)
@@ -102,11 +102,11 @@ def differentiate(
     loss: Loss = squared_distance,
     derivatives: StageDerivatives | None = None,
 ) -> HypergradientResult:
-    """Loss, implicit gradient and certificate at a solution that any solver found; read the certificate.
+    """Loss, implicit gradient and certificate at a solution by any solver. Nothing is raised: read the certificate.
 
-    Where Newton steps polish the solution (`SensitivityCertificate.distance`), the loss is that of the polished plan.
+    Where Newton steps improve the solution (`SensitivityCertificate.distance`), the loss is that of the improved plan.
 
-    derivatives: at the solution, where the solver ended with them.
+    derivatives: those at the solution, if the solver returned them (`solve_and_linearise`).
     """
     derivative = sensitivity(problem, solution, "flag", derivatives)
     at = LossAt(problem, loss, data_of(loss, problem, demonstration), derivative.plan)

@@ -1,6 +1,7 @@
-"""Kinks of the map from psi to the loss that its gradient does not see: of the loss, the observation, and in psi.
+"""Kinks of the loss, of the observation, and of the problem in psi, which no derivative at a point shows.
 
-CasADi's derivative of |x| at 0 is 0, of a step everywhere: only values beside a point tell.
+CasADi's derivative of |x| at 0 is 0, and that of a step function is 0 everywhere. Kinks are found only by evaluating to
+both sides of a point.
 """
 
 from __future__ import annotations
@@ -23,29 +24,29 @@ PARAMETER_KINK = "Costs, constraints or dynamics have a kink or a jump at these 
 
 
 class LossAt:
-    """A loss for one demonstration, whose data (n_data, T+1) are given, at a plan.
+    """A loss at a plan, and its gradient.
 
-    value: of the loss. slopes: (n_w,) by the plan, in the order of time.
+    value: of the loss. slopes: (n_w,) gradient by the plan, in the order of time.
     """
 
     def __init__(self, problem: OCP, loss: Loss, data: Array, x: Array) -> None:
-        """x: the plan (n_w,) in the order of time."""
-        self._beside = partial(loss_at, problem, _loss_and_slopes(loss), data.T, x)
-        self.value, self.slopes, self._kink = self._beside()
+        """data: (n_data, T+1) of the demonstration. x: the plan (n_w,) in the order of time."""
+        self._evaluate = partial(loss_at, problem, _loss_and_slopes(loss), data.T, x)
+        self.value, self.slopes, self._kink = self._evaluate()
 
     def kinks(self, along: Array | None = None) -> list[str]:
-        """A sentence if the loss is not smooth at the plan, in a random direction, and along a move (n_w,) of the plan.
+        """One failure message if the loss is not smooth at the plan, else none.
 
-        A given s_0 does not move with psi.
+        It is tested in a random direction, and along a given move (n_w,) of the plan.
         """
         if not (np.isfinite(self.value) and np.isfinite(self.slopes).all()):
             return []
-        smooth = self._kink <= KINK and (along is None or not along.any() or self._beside(along)[2] <= KINK)
+        smooth = self._kink <= KINK and (along is None or not along.any() or self._evaluate(along)[2] <= KINK)
         return [] if smooth else [LOSS_KINK]
 
 
 def parameter_kinks(problem: OCP, solution: Solution) -> list[str]:
-    """A sentence if derivatives of stage functions by psi jump at a plan, whatever the adjoint makes of them."""
+    """One failure message if derivatives of stage functions by psi jump at a plan, else none."""
     x = by_stage(solution.states, solution.actions)
     if not np.isfinite(x).all() or parameter_jump(problem, x, solution.psi, solution.context) <= KINK:
         return []
@@ -53,7 +54,10 @@ def parameter_kinks(problem: OCP, solution: Solution) -> list[str]:
 
 
 def kinks_at(problem: OCP, loss: Loss, data: Array, solution: Solution) -> list[str]:
-    """Sentences if the loss, or a function of psi, is not smooth at a plan; data: (n_data, T+1) of the loss."""
+    """Failure messages if the loss, or a stage function of psi, is not smooth at a plan.
+
+    data: (n_data, T+1) of the loss.
+    """
     plan = by_stage(solution.states, solution.actions)
     return LossAt(problem, loss, data, plan).kinks() + parameter_kinks(problem, solution)
 

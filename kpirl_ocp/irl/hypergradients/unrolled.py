@@ -21,15 +21,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.arranged_passes import passes_agree
+from kpirl_ocp.irl.hypergradients.affine_steps import has_affine_steps
 from kpirl_ocp.irl.hypergradients.certificate import (
     HypergradientResult,
     enforce,
     nonfinite_failures,
 )
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
+from kpirl_ocp.irl.hypergradients.own_passes import passes_agree
 from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
-from kpirl_ocp.irl.hypergradients.straight_steps import has_straight_steps
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descents, direction
 from kpirl_ocp.ocp.codegen.compiler import compiled
@@ -46,14 +46,14 @@ from kpirl_ocp.types import Array, Demonstration, Solution
 _KINK = 1e-12
 # Share of the adjoint that truncation may leave out before the gradient counts as approximate.
 _REMAINDER = 1e-9
-# Share of psi by which steps beside it move it: where the dynamics have the same derivatives within that, times what
-# the steps enlarge differences by, slopes to both sides are not compared.
+# One-sided slopes are not computed where the dynamics' derivatives provably stay the same when psi changes by this
+# share, times the amplification of differences by the steps.
 _CLEAR = 1e-6
-# Growth of the adjoint back over the steps up to which quadratic costs make a loss that is smooth around psi: within
-# 1e-6 of it, slopes change by some 1e-6 times the growth. Steps that enlarge differences more may be chaotic: exact
-# derivatives then hold within 1e-11 of psi, say, and tell nothing.
+# Growth of the adjoint over the reverse pass up to which quadratic costs leave the loss smooth near psi: when psi
+# changes by 1e-6, slopes change by about 1e-6 times the growth. Steps that amplify differences more may be chaotic:
+# their exact derivatives hold only within, say, 1e-11 of psi, and are of no use.
 _STEADY = 100.0
-# Growth of the adjoint back over the steps, and so of rounding along them, that leaves less than eight digits.
+# Growth of the adjoint over the reverse pass, and so of rounding errors in the steps, that leaves under eight digits.
 _GROWTH = 1e8
 _HEAD = 5  # numbers before the gradient in an output of `unrolled_function`
 _STEPS_KINK = (
@@ -68,15 +68,15 @@ class UnrolledCertificate(Certificate):
 
     steps: N. differentiated: number of last steps in the reverse pass.
     remainder: |v_{N-k}| / |v_N|, the adjoint at which the reverse pass stopped; it multiplies everything left out. At
-        most about one where the steps converge; where they diverge it says how much they enlarge what rounding does.
+        most about one where the steps converge; where they diverge, the factor by which they amplify rounding errors.
     kink_distance: smallest distance of an unprojected iterate to its bound; infinite without projection.
-    kink: relative difference between the gradient and the slopes of the loss to both sides, along one fixed random
-        direction of psi, from steps taken again at psi beside; what curvature explains is left out. It also measures
-        what truncation left out. Zero, and not measured, where the steps enlarge differences (`remainder`) at most
-        100 times, costs and loss are quadratic, and the dynamics affine, with coefficients that hardly change beside
-        psi, or a network whose weights bound the change of its Jacobian, at all iterates, to a thousandth of its terms
-        for moves as large as measured at the last one (`allowed_move`). That other functions have no kink is not
-        enough: a sigmoid may be as steep as a step.
+    kink: relative difference between the gradient and one-sided finite differences of the loss along one fixed random
+        direction of psi, for which the steps are taken again; differences that curvature explains do not count. It
+        also measures what truncation left out. It is set to zero without being measured where nothing can be steep:
+        the steps amplify differences (`remainder`) at most 100 times, costs and loss are quadratic with coefficients
+        that hardly change near psi, and the dynamics are affine in the same sense, or a network whose weights bound
+        the change of its Jacobian, at all iterates, to a thousandth of its terms for moves of the size measured at the
+        last one (`allowed_move`). Having no kink would not be enough: a sigmoid may be as steep as a step.
     """
 
     steps: int
@@ -96,8 +96,8 @@ class Unrolled:
     loss: IRL loss.
     policy: "raise" or "flag" when the gradient is not certified (NaN, steps that diverge, an iterate on the kink of the
         projection, or slopes of the loss to both sides of psi that differ from it).
-    checkpoint: remember every sqrt(N)-th iterate only and take the steps between again: memory O(sqrt N), and one more
-        forward pass.
+    checkpoint: store only every sqrt(N)-th iterate and recompute the steps between: memory O(sqrt N), at the price of
+        one more forward pass.
     """
 
     solver: GradientDescent
@@ -121,9 +121,9 @@ class Unrolled:
         psi: ArrayLike,
         guesses: Sequence[Guess] | None = None,
     ) -> list[HypergradientResult]:
-        """One result per demonstration, from matrix products where a single demonstration has matrix times vector.
+        """One result per demonstration, all computed together: by matrix products in place of matrix times vector.
 
-        guesses: to start from, one per demonstration; None starts all from actions zero.
+        guesses: initial guesses, one per demonstration; None starts all from zero actions.
         """
         steps = self.solver.steps
         results = unrolled_gradients(
@@ -134,7 +134,7 @@ class Unrolled:
 
 @dataclass(frozen=True)
 class Truncated:
-    """The gradient through the last steps only: biased on purpose, and flagged unless the remainder vanishes.
+    """The gradient through the last steps only: biased on purpose, and not certified unless the remainder vanishes.
 
     last: k, number of the solver's last steps in the reverse pass.
     policy: "flag" by default, because the caller asked to leave terms out.
@@ -184,7 +184,7 @@ def unrolled_gradients(
     ]
     wrong = () if passes_agree(problem, len(demonstrations)) else (WRONG_DERIVATIVES,)
     steady = last == solver.steps and all(sweep.steady for sweep in sweeps)
-    if steady and has_straight_steps(problem, loss, all(sweep.clear for sweep in sweeps)):
+    if steady and has_affine_steps(problem, loss, all(sweep.clear for sweep in sweeps)):
         move = STEP * direction(numbers)
         if all(nearly_constant_in_psi(problem, sweep.certificate.solution, move) for sweep in sweeps):
             return [sweep.result(0.0, wrong) for sweep in sweeps]
@@ -201,7 +201,7 @@ def unrolled_gradients(
 
 
 def gradient_alone(method: Unrolled, problem: OCP, demonstration: Demonstration, psi: ArrayLike) -> Array:
-    """The gradient (n_psi,) without a certificate: for one of many losses of a plan, of which another was certified."""
+    """The gradient (n_psi,) without a certificate, for further losses at a plan of which one was certified."""
     descents = Descents.toward(problem, method.solver, method.loss, [demonstration], psi)
     (output,) = _outputs(descents, method.solver.steps, method.checkpoint)
     return output[_HEAD : _HEAD + problem.n_parameters]
@@ -217,9 +217,9 @@ def _outputs(descents: Descents, last: int, checkpoint: bool) -> Array:
 
 
 class _Sweep(NamedTuple):
-    """One sweep back, before the slopes to both sides are known.
+    """The result of one reverse pass, before one-sided slopes are known.
 
-    clear: are the dynamics a network whose derivatives hardly change around all iterates?
+    clear: True if the dynamics are a network whose Jacobians hardly change near all iterates.
     """
 
     loss: float
@@ -228,18 +228,18 @@ class _Sweep(NamedTuple):
     clear: bool
 
     def terms(self, at: LossAt) -> float:
-        """The size of the terms of the loss that its rounding is relative to, as the steps enlarge it."""
+        """The size of the loss's terms, to which its rounding error is relative, times the steps' amplification."""
         with np.errstate(over="ignore", invalid="ignore"):
             size = abs(at.value) + np.abs(at.slopes) @ np.abs(_plan(self.certificate.solution))
             return float(size * max(1.0, self.certificate.remainder))
 
     @property
     def steady(self) -> bool:
-        """Do the steps enlarge differences but little?"""
+        """True if the steps amplify differences only moderately."""
         return self.certificate.remainder <= _STEADY
 
     def result(self, kink: float, wrong: tuple[str, ...]) -> HypergradientResult:
-        """With what else is wrong, and with a failure where the steps are not smooth."""
+        """The result, with further failures, and one more where the steps are not smooth."""
         found = self.certificate
         failures = *found.failures, *wrong
         if not failures and not kink <= KINK:
@@ -255,7 +255,7 @@ def _plan(solution: Solution) -> Array:
 
 
 def _sweep(problem: OCP, solver: GradientDescent, last: int, psi: Array, context: Array, output: Array) -> _Sweep:
-    """From one column of `unrolled_function`."""
+    """The reverse pass of one demonstration, from one column of `unrolled_function`."""
     value, remainder, kink, clearance, initial = output[:_HEAD].tolist()
     end = _HEAD + problem.n_parameters
     gradient, point = output[_HEAD:end], output[end:]

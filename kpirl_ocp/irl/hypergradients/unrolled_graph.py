@@ -40,7 +40,7 @@ from kpirl_ocp.ocp.solvers.gradient_descent import (
     terminal_point,
 )
 
-_SINGLE = 32  # so many steps, and no more, are written out one by one
+_SINGLE = 32  # up to this many steps are written out one by one
 
 
 def unrolled_function(
@@ -48,9 +48,9 @@ def unrolled_function(
 ) -> ca.Function:
     """(U_0, s0, psi, c, Z) -> loss, remainder, kink distance, clearance, cost of U_0, gradient, `terminal_point`.
 
-    One column holds them all.
-    For B demonstrations everything has B columns, but U_0 (n_u, B T) and Z (n_z, B (T+1)), demonstration by
-    demonstration. Clearance: `allowed_move`, over all demonstrations.
+    The outputs are stacked in one column. For B demonstrations all arguments and the output have B columns, except
+    U_0 (n_u, B T) and Z (n_z, B (T+1)), which hold one demonstration after the other. Clearance is `allowed_move` for
+    all demonstrations together.
     """
     reduced, (u, s0, psi, context) = ReducedCost(problem, columns), reduced_symbols(problem, columns)
     observed = ca.MX.sym("Z", loss(problem).size1_in(2), columns * (problem.horizon + 1))
@@ -95,20 +95,20 @@ def unrolled_function(
 
 
 def _segments(steps: int) -> list[int]:
-    """Lengths that add up to `steps`: single steps if they are few, else about its square root."""
+    """Lengths of segments that add up to `steps`: ones if there are few steps, else about the root of their number."""
     length = 1 if steps <= _SINGLE else math.isqrt(steps)
     return [length] * (steps // length) + ([steps % length] if steps % length else [])
 
 
 def _segment(step: ca.Function, length: int) -> ca.Function:
-    """Steps side by side, with one column of extremes for all: a function of its own, so that theirs are not kept."""
+    """Several steps as one function, which keeps one column of extremes for all, and not one for each."""
     u, *wide = symbols_like("x", (step.mx_in(0), *repeat(step.mx_in()[1:], length)))
     iterates, values, found, *record = step.mapaccum(length).call([u, *wide])
     return ca.Function("segment", [u, *wide], [iterates, values, smallest_by_row(found), *record])
 
 
 def _take(steps: ca.Function, u: ca.MX, constants: Sequence[ca.MX]) -> tuple[ca.MX, ca.MX, ca.MX, list[ca.MX]]:
-    """U after a segment, the costs and extremes on the way, and for every step the record that the way back needs.
+    """U after a segment, costs and extremes within it, and for every step the record that the reverse pass needs.
 
     constants: s0, psi and theta, side by side for every step.
     """
@@ -136,7 +136,7 @@ def _step_back(problem: OCP, solver: GradientDescent, step: ca.Function, columns
 def _segment_back(back: ca.Function, length: int) -> ca.Function:
     """`back` for a segment: records and constants side by side -> v before it, and the sums of the other outputs.
 
-    A function of its own, so that summands are not kept for all segments.
+    It is a function of its own, so that the summands of a segment are not stored beyond it.
     """
     v, *wide = symbols_like("x", (back.mx_in(0), *repeat(back.mx_in()[1:], length)))
     pieces = [reverse(array, array.size2() // length) for array in wide]

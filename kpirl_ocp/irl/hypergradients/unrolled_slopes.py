@@ -1,9 +1,9 @@
-"""Slopes of the loss after gradient steps to both sides of psi, which show kinks that derivatives do not see.
+"""One-sided finite differences of the loss after all gradient steps, which show kinks that derivatives do not.
 
-CasADi's derivative of a kinked cost is that of one side, and steps that end on a kink, or cross it again and again,
-have other slopes than the product of their derivatives. Along a fixed random direction d of psi,
+CasADi's derivative at a kink of a cost is that of one side. Where steps end on a kink, or cross it again and again, the
+loss changes at another rate than the product of their derivatives says. Along a fixed random direction d of psi,
 
-    (L(psi + h d) - L(psi)) / h    and    (L(psi) - L(psi - h d)) / h    have to be    dL/dpsi . d.
+    (L(psi + h d) - L(psi)) / h    and    (L(psi) - L(psi - h d)) / h    must both equal    dL/dpsi . d.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from kpirl_ocp.ocp.sensitivity.certificate import KINK
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints, gradient_step
 from kpirl_ocp.types import Array, Demonstration
 
-STEP = 1e-6  # h: of psi, relative
-_CLOSER = 0.1  # a second step, relative to the first: what curvature does to a slope shrinks with it, a kink does not
-_ROUNDING = 1e-11  # of the loss, relative to its terms, with a margin by which kinks are told from it
-SMALL = 1e-3  # share of the largest parameter by which the others move at least
+STEP = 1e-6  # h, relative to psi
+_CLOSER = 0.1  # a second h, relative to the first: errors by curvature shrink with h, those by a kink do not
+_ROUNDING = 1e-11  # rounding error of the loss, relative to its terms, with a safety margin
+SMALL = 1e-3  # every parameter counts as at least this share of the largest one
 
 
 @dataclass(frozen=True)
 class Descents:
-    """B descents side by side, for the same psi (n_psi,).
+    """The inputs of B descents with the same psi (n_psi,), one after the other in each array.
 
-    actions: (B T, n_u) to start from. starts: (B n_s,). contexts: (B n_c,). observed: (B (T+1), n_z).
+    actions: (B T, n_u) initial actions. starts: (B n_s,). contexts: (B n_c,). observed: (B (T+1), n_z).
     """
 
     problem: OCP
@@ -59,7 +59,7 @@ class Descents:
         psi: ArrayLike,
         guesses: Sequence[Guess] | None = None,
     ) -> Descents:
-        """One per demonstration, from its guess or from actions zero; arguments and errors as in `Hypergradient`."""
+        """One descent per demonstration, from its guess or from zero actions; errors as in `Hypergradient`."""
         check_constraints(problem, solver.project)
         inputs = [problem.inputs(demonstration.s0, psi, demonstration.context) for demonstration in demonstrations]
         starts, psis, contexts = zip(*inputs, strict=True)
@@ -70,12 +70,12 @@ class Descents:
 
     @np.errstate(over="ignore", invalid="ignore")
     def kinks(self, losses: Array, gradients: Array, terms: Array) -> Array:
-        """The largest relative difference (B,) between gradients and slopes to both sides that is not curvature.
+        """The largest relative difference (B,) between gradients and one-sided slopes that curvature does not explain.
 
         Args:
             losses: (B,) at psi.
             gradients: (B, n_psi).
-            terms: (B,) the size of the terms of each loss, with what the steps enlarge them by.
+            terms: (B,) the size of the terms of each loss, times the amplification of rounding by the steps.
         """
         move = direction(self.psi)
         noise = _ROUNDING * terms / STEP
@@ -91,18 +91,18 @@ class Descents:
         return np.where(kinks > KINK, _ratio(left, size), kinks)
 
     def _slopes(self, move: Array, length: float, losses: Array) -> Array:
-        """(2, B): forward and backward."""
+        """Forward and backward difference quotients (2, B)."""
         count = len(losses)
         evaluate = call_built(_losses, self.problem, self.solver, self.loss, 2 * count)
         psis = np.concatenate([np.tile(self.psi + sign * length * move, count) for sign in (1.0, -1.0)])
         twice = (np.concatenate([array, array]) for array in (self.actions, self.starts, self.contexts, self.observed))
         actions, starts, contexts, observed = twice
-        (beside,) = evaluate(actions, starts, psis, contexts, observed)
-        return np.array([[1.0], [-1.0]]) * (beside.reshape(2, count) - losses) / length
+        (shifted,) = evaluate(actions, starts, psis, contexts, observed)
+        return np.array([[1.0], [-1.0]]) * (shifted.reshape(2, count) - losses) / length
 
 
 def direction(psi: Array) -> Array:
-    """(n_psi,) random, always the same, in units of the parameters."""
+    """A random direction (n_psi,), the same in every call, scaled by the size of the parameters."""
     sizes = np.abs(psi)
     largest = sizes.max(initial=0.0)
     own = np.maximum(sizes, SMALL * largest) if largest > 0 else np.ones(len(psi))
@@ -111,7 +111,7 @@ def direction(psi: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _shares(count: int) -> Array:
-    """(count,) random, always the same."""
+    """Random numbers (count,), the same in every call."""
     return np.random.default_rng(0).uniform(0.5, 1.0, count)
 
 

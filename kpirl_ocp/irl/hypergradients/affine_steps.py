@@ -1,4 +1,4 @@
-"""Problems whose gradient steps are affine, so that nothing but steep coefficients can bend what they make of psi."""
+"""Problems whose gradient steps are affine in the actions: only steep coefficients can make the result steep in psi."""
 
 from __future__ import annotations
 
@@ -11,13 +11,18 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 
 
 @lru_cache(maxsize=64)
-def has_straight_steps(problem: OCP, loss: Loss, clear: bool) -> bool:
-    """Are costs and loss quadratic, and the dynamics affine, or a network of which this is clear?"""
-    return _quadratic(problem, loss) and (_affine(problem) or (clear and not depends_on_psi(problem.transition)))
+def has_affine_steps(problem: OCP, loss: Loss, constant_jacobians: bool) -> bool:
+    """True if costs and loss are quadratic, and the dynamics affine or as good as affine.
+
+    constant_jacobians: the dynamics are a network whose Jacobians hardly change near all iterates.
+    """
+    return _quadratic(problem, loss) and (
+        _affine(problem) or (constant_jacobians and not depends_on_psi(problem.transition))
+    )
 
 
 def _quadratic(problem: OCP, loss: Loss) -> bool:
-    """Are costs and loss quadratic in states and actions together?"""
+    """True if costs and loss are quadratic in states and actions together."""
     after = loss(problem)
     costs = problem.stage_cost, problem.terminal_cost
     return (
@@ -28,5 +33,5 @@ def _quadratic(problem: OCP, loss: Loss) -> bool:
 
 
 def _affine(problem: OCP) -> bool:
-    """Are the dynamics affine in states and actions, and at most quadratic in psi and the context?"""
+    """True if the dynamics are affine in states and actions, and at most quadratic in psi and in the context."""
     return is_quadratic(problem.dynamics) and is_affine_in(problem.dynamics, [0, 1])

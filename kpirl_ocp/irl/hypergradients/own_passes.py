@@ -1,4 +1,4 @@
-"""Passes that a problem brings, beside those of CasADi's AD."""
+"""A check of forward and adjoint passes that a problem supplies against those by CasADi's AD."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from kpirl_ocp.ocp.problem.trajectory_passes import TrajectoryPasses
 from kpirl_ocp.types import Array
 
 _STEPS = 2
-_SIZE = 0.5  # of the random numbers: a network does not saturate there
+_SIZE = 0.5  # of the random numbers: small enough that a network does not saturate
 
 
 @lru_cache(maxsize=64)
 def passes_agree(problem: OCP, columns: int) -> bool:
-    """Do the passes that the problem brings agree with AD's along random trajectories (two steps, B columns)?
+    """True if the passes that the problem supplies agree with AD along random trajectories (two steps, B columns).
 
-    Analytic functions that agree at a random point agree everywhere. Numbers that are not finite there have to be the
-    same ones, and say no more.
+    Analytic functions that agree at a random point agree everywhere, with probability one. Entries that are not finite
+    must be so in both; their values are not compared.
     """
     if problem.derivatives is None:
         return True
@@ -34,7 +34,7 @@ def passes_agree(problem: OCP, columns: int) -> bool:
 
 
 def _values(problem: OCP, passes: TrajectoryPasses, columns: int) -> Array:
-    """All that the passes give for the same random numbers."""
+    """All outputs of the passes, at random inputs that are the same in every call."""
     n_s, n_u, n_psi = (problem.transition.size1_in(i) for i in range(3))
     sizes = (n_s, 1), (n_psi, 1), (n_u, _STEPS), (n_u, _STEPS), (n_s, _STEPS + 1), (n_s, _STEPS + 1)
     symbols = [ca.MX.sym("x", rows, steps * columns) for rows, steps in sizes]
