@@ -1,4 +1,4 @@
-"""Columns of B trajectories side by side, as expressions: recursions over time, and other orders.
+"""Expressions for B trajectories, stored side by side as columns: recursions over time, and changes of order.
 
 The columns of an array (n, T B) are ordered by time, then by trajectory: T blocks of B columns.
 """
@@ -11,15 +11,15 @@ from itertools import pairwise
 
 import casadi as ca
 
-_WRITTEN_OUT = 32  # so many steps, and no more, are written out one by one
+_WRITTEN_OUT = 32  # up to this many steps are written out one by one
 
 
 def scan(stage: ca.Function, start: ca.MX, inputs: Sequence[ca.MX], steps: int, backwards: bool = False) -> list[ca.MX]:
-    """Carry the first output of a stage to its first input, from the first to the last block or from the last on.
+    """Apply a stage function block by block, forwards or backwards; its first output is its first input at the next.
 
-    Inputs and outputs (n, T B) are ordered by time either way; an input (n, B) is the same at every step. The same
-    as `mapaccum`, but with a single copy. Many steps are taken in groups, with a copy more: compilers take more than
-    twice the time for a function of twice the length.
+    Inputs and outputs (n, T B) are ordered by time in both cases; an input (n, B) is used at every step. It does the
+    same as `mapaccum`, but copies arrays only once. Many steps are split into groups that are functions of their own,
+    at the price of one more copy: compilers take more than twice the time for a function of twice the length.
     """
     size = 1 if steps <= _WRITTEN_OUT else math.isqrt(steps)
     ends = [*range(0, steps, size), steps]
@@ -38,7 +38,7 @@ def scan(stage: ca.Function, start: ca.MX, inputs: Sequence[ca.MX], steps: int, 
 
 
 def _group(stage: ca.Function, length: int, backwards: bool, same: Sequence[bool]) -> ca.Function:
-    """Some steps: (carried, inputs as for `scan`) -> what is carried on, and all outputs side by side."""
+    """Several steps as one function: (start, inputs as for `scan`) -> first output of the last step, all outputs."""
     start, *inputs = stage.mx_in()
     widths = [array.size2() * (1 if alike else length) for array, alike in zip(inputs, same, strict=True)]
     wide = [ca.MX.sym("x", array.size1(), width) for array, width in zip(inputs, widths, strict=True)]
@@ -49,10 +49,10 @@ def _group(stage: ca.Function, length: int, backwards: bool, same: Sequence[bool
 
 
 def map_shared(function: ca.Function, steps: int, inputs: Sequence[ca.MX], add: bool = False) -> list[ca.MX]:
-    """The dense outputs of all steps side by side, or their sums; an input of one step's shape is the same at each.
+    """The dense outputs of all steps side by side, or their sums. An input with the shape of one step is used at each.
 
-    No input is repeated, and none handed over that does not matter: either takes O(T^2) memory where it has numbers
-    for every step.
+    Inputs are not repeated, and those that no output depends on are not passed: either would take O(T^2) memory for an
+    input that itself holds numbers for every step.
     """
     used = _used(function)
     share = [inputs[i].shape == function.size_in(i) for i in used]
@@ -61,14 +61,14 @@ def map_shared(function: ca.Function, steps: int, inputs: Sequence[ca.MX], add: 
 
 
 def _used(function: ca.Function) -> list[int]:
-    """The inputs that an output depends on."""
+    """Indices of the inputs that an output depends on."""
     symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
     outputs = ca.vertcat(*map(ca.vec, function.call(symbols)))
     return [i for i, symbol in enumerate(symbols) if ca.depends_on(outputs, symbol)]
 
 
 def _with_inputs(function: ca.Function, used: Sequence[int]) -> ca.Function:
-    """Of these inputs alone, with zeros for the others, and dense outputs."""
+    """The function of these inputs alone, with zeros for the others and dense outputs."""
     symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
     given = [symbol if i in used else type(symbol).zeros(symbol.shape) for i, symbol in enumerate(symbols)]
     outputs = [ca.densify(output) for output in function.call(given, True, False)]
@@ -76,7 +76,7 @@ def _with_inputs(function: ca.Function, used: Sequence[int]) -> ca.Function:
 
 
 def reverse(array: ca.MX, width: int) -> ca.MX:
-    """The blocks of `width` columns in opposite order."""
+    """The blocks of `width` columns in reverse order."""
     if width == 1:
         return array[:, ::-1]
     return ca.horzcat(*reversed(ca.horzsplit(array, width)))
@@ -89,7 +89,7 @@ def sum_blocks(array: ca.MX, width: int) -> ca.MX:
 
 
 def smallest_by_row(array: ca.MX) -> ca.MX:
-    """(n, 1) the smallest number of every row (n, m), by halves; m is at least 1."""
+    """(n, 1) the smallest number in each row of an array (n, m), m >= 1, by repeated halving."""
     while array.size2() > 1:
         half = (array.size2() + 1) // 2
         array = ca.fmin(array[:, :half], array[:, -half:])
@@ -97,17 +97,17 @@ def smallest_by_row(array: ca.MX) -> ca.MX:
 
 
 def largest_by_row(array: ca.MX) -> ca.MX:
-    """(n, 1) the largest absolute value of every row (n, m)."""
+    """(n, 1) the largest absolute value in each row of an array (n, m)."""
     return -smallest_by_row(-ca.fabs(array))
 
 
 def repeat(arrays: Iterable[ca.MX], count: int) -> list[ca.MX]:
-    """Each array side by side, as inputs of `count` steps that are the same."""
+    """Each array repeated side by side, as an input that is the same in `count` steps."""
     return [ca.repmat(array, 1, count) for array in arrays]
 
 
 def by_trajectory(array: ca.MX, columns: int) -> ca.MX:
-    """(n, T B), ordered by time, as (n T, B)."""
+    """An array (n, T B), ordered by time, as (n T, B): one column per trajectory."""
     return ca.horzcat(*(ca.vec(array[:, index::columns]) for index in range(columns)))
 
 
@@ -119,5 +119,5 @@ def regroup(array: ca.MX, period: int) -> ca.MX:
 
 
 def symbols_like(name: str, arrays: Iterable[ca.MX]) -> list[ca.MX]:
-    """New symbols of the same shapes."""
+    """New symbols of the same shapes as the arrays."""
     return [ca.MX.sym(name, *array.shape) for array in arrays]

@@ -30,7 +30,7 @@ class BoundRows:
 
     @classmethod
     def of(cls, lower: Array, upper: Array) -> BoundRows:
-        """Of bounds (n_w,), infinite where there is none."""
+        """The rows of bounds (n_w,) that are infinite where there is none."""
         low, high = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
         entries, rows = np.concatenate([low, high]), np.arange(len(low) + len(high))
         places, other = np.full((2, len(lower)), -1), rows.copy()
@@ -48,7 +48,7 @@ class BoundRows:
 
     @property
     def twice(self) -> Mask:
-        """True where the other side is bounded, too."""
+        """True where the same entry also has a bound on the other side."""
         return self.other != np.arange(len(self.other))
 
     def slack(self, w: Array) -> Array:

@@ -30,5 +30,5 @@ class DynamicsDerivatives:
 
     @classmethod
     def by_ad(cls, dynamics: ca.Function) -> DynamicsDerivatives:
-        """Those of any f(s, u, psi) that CasADi can differentiate."""
+        """The derivatives by CasADi's AD, of any f(s, u, psi) that it can differentiate."""
         return cls(partial(LinearisedByStage, dynamics), partial(StagePasses, dynamics))

@@ -1,4 +1,4 @@
-"""The order of unknowns and multipliers in one vector each; time first, as everywhere outside CasADi.
+"""The order of unknowns and multipliers in flat vectors; time comes first, as everywhere outside CasADi.
 
     w      = (s_0 .. s_T, u_0 .. u_{T-1})
     lambda = (dynamics, path_equality, terminal_equality)      of the equalities
@@ -22,12 +22,12 @@ from kpirl_ocp.types import Array, Mask, Multipliers, Trajectory
 
 
 def pack(trajectory: Trajectory) -> Array:
-    """w (n_w,) of a trajectory."""
+    """A trajectory as the flat vector w (n_w,)."""
     return np.concatenate([trajectory.states.ravel(), trajectory.actions.ravel()])
 
 
 def unpack(problem: OCP, w: Array) -> Trajectory:
-    """The trajectory of w (n_w,)."""
+    """The flat vector w (n_w,) as a trajectory."""
     return Trajectory(*_split(w, (problem.horizon + 1, problem.n_states), (problem.horizon, problem.n_actions)))
 
 
@@ -46,18 +46,18 @@ def given(problem: OCP) -> Mask:
 
 
 def equality_multipliers(multipliers: Multipliers) -> Array:
-    """lambda (n_eq,)."""
+    """Multipliers of equalities as the flat vector lambda (n_eq,)."""
     parts = (multipliers.dynamics, multipliers.path_equality, multipliers.terminal_equality)
     return np.concatenate([part.ravel() for part in parts])
 
 
 def inequality_multipliers(multipliers: Multipliers) -> Array:
-    """mu (n_ineq,)."""
+    """Multipliers of inequalities as the flat vector mu (n_ineq,)."""
     return np.concatenate([multipliers.path.ravel(), multipliers.terminal.ravel()])
 
 
 def bound_multipliers(multipliers: Multipliers) -> Array:
-    """nu (n_w,)."""
+    """Multipliers of bounds as the flat vector nu (n_w,)."""
     return np.concatenate([multipliers.state.ravel(), multipliers.action.ravel()])
 
 
@@ -85,7 +85,7 @@ def unpack_multipliers(problem: OCP, nu: Array, lam: Array, mu: Array) -> Multip
 
 
 def check_multipliers(problem: OCP, multipliers: Multipliers, of: str = "guess") -> None:
-    """Raise ProblemError when the multipliers of a guess, or of something else, do not fit the problem."""
+    """Raise ProblemError when the shapes of multipliers, such as those of a guess, do not fit the problem."""
     steps = problem.horizon
     shapes = {
         "dynamics": (steps, problem.n_states),
@@ -103,23 +103,23 @@ def check_multipliers(problem: OCP, multipliers: Multipliers, of: str = "guess")
 
 
 def live_equalities(problem: OCP) -> Mask:
-    """(n_eq,) True for the entries of lambda whose rows are not switched off, see `OCP.live`."""
+    """(n_eq,) True for the entries of lambda whose rows the schedule does not switch off, see `OCP.live`."""
     dynamics = np.ones(problem.horizon * problem.n_states, bool)
     return np.concatenate([dynamics, problem.live.path_equality.ravel(), problem.live.terminal_equality])
 
 
 def n_inequalities(problem: OCP) -> int:
-    """Length of mu."""
+    """n_ineq, the length of mu."""
     return problem.horizon * problem.n_path + problem.n_terminal
 
 
 def lengths(problem: OCP) -> tuple[int, int, int]:
-    """n_w, n_eq and n_ineq."""
+    """The lengths n_w, n_eq and n_ineq of w, lambda and mu."""
     return len(given(problem)), len(live_equalities(problem)), n_inequalities(problem)
 
 
 def by_stage(states: Array, actions: Array) -> Array:
-    """(s_0, u_0, s_1, .., u_{T-1}, s_T) of states (.., T+1, n_s) and actions (.., T, n_u), by their last axes."""
+    """States (.., T+1, n_s) and actions (.., T, n_u) as vectors (.., n_w) = (s_0, u_0, s_1, .., u_{T-1}, s_T)."""
     (*many, T, n_u), n_s = actions.shape, states.shape[-1]
     x = np.empty((*many, T * (n_s + n_u) + n_s))
     stages = x[..., : T * (n_s + n_u)].reshape(*many, T, n_s + n_u)
@@ -128,7 +128,7 @@ def by_stage(states: Array, actions: Array) -> Array:
 
 
 def split(x: Array, steps: int, n_s: int, n_u: int) -> tuple[Array, Array]:
-    """States (T+1, n_s) and actions (T, n_u) of `by_stage`."""
+    """The inverse of `by_stage`: states (T+1, n_s) and actions (T, n_u)."""
     rows, states = x[: steps * (n_s + n_u)].reshape(steps, n_s + n_u), np.empty((steps + 1, n_s))
     states[:-1], states[-1] = rows[:, :n_s], x[steps * (n_s + n_u) :]
     return states, rows[:, n_s:].copy()

@@ -14,11 +14,11 @@ import casadi as ca
 
 
 class LinearisedDynamics(Protocol):
-    """f at B points with costates Lambda."""
+    """The linearisation of f at B points, with costates Lambda (n_s, B)."""
 
     @property
     def value(self) -> ca.MX:
-        """f (n_s, B)."""
+        """The values of f (n_s, B)."""
         ...
 
     @property
@@ -50,12 +50,12 @@ class LinearisedByStage:
 
     @property
     def value(self) -> ca.MX:
-        """The successors."""
+        """The values of f (n_s, B)."""
         return self._first[0]
 
     @property
     def Ft_lambda(self) -> ca.MX:
-        """The costates pulled back through every stage."""
+        """F' lambda (n_x, B)."""
         return ca.vertcat(*self._first[1:])
 
     def Ft_lambda_tangent(self, x: ca.MX, dcostates: ca.MX) -> ca.MX:
@@ -64,7 +64,7 @@ class LinearisedByStage:
         return change
 
     def second(self) -> tuple[ca.Function, list[ca.MX]]:
-        """Nothing is computed beforehand."""
+        """The function evaluates everything by itself; its arguments are the points and costates."""
         return second_derivatives(self.dynamics), self._at
 
     @cached_property
@@ -78,7 +78,7 @@ class LinearisedByStage:
 
 @lru_cache(maxsize=64)
 def first_derivatives(dynamics: ca.Function) -> ca.Function:
-    """(s, u, psi, lambda) -> f, f_s^T lambda (n_s,), f_u^T lambda (n_u,); scalar graphs (SX) of scalar graphs."""
+    """(s, u, psi, lambda) -> f, f_s^T lambda (n_s,), f_u^T lambda (n_u,); an SX function if f is one."""
     s, u, psi, lam, value = _symbols(dynamics)
     pairing = ca.dot(lam, value)
     outputs = ca.cse([value, *(ca.gradient(pairing, x) for x in (s, u))])
@@ -109,7 +109,7 @@ def _tangent(dynamics: ca.Function) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def depends_on_psi(dynamics: ca.Function) -> bool:
-    """True if f(s, u, psi) does."""
+    """True if f(s, u, psi) depends on psi."""
     return bool(dynamics.jac_sparsity(0, 2).nnz())
 
 
@@ -128,7 +128,7 @@ def _without_unused_psi(function: ca.Function, dynamics: ca.Function) -> ca.Func
 
 
 def _symbols(dynamics: ca.Function) -> tuple[ca.SX | ca.MX, ...]:
-    """s, u, psi, lambda and f, of one kind: SX where the dynamics are."""
+    """Symbols s, u, psi and lambda, and the expression f: SX where the dynamics are an SX function, else MX."""
     kind = ca.SX if dynamics.is_a("SXFunction") else ca.MX
     s, u, psi = (kind.sym(name, dynamics.size1_in(i)) for i, name in enumerate(("s", "u", "psi")))
     return s, u, psi, kind.sym("lam", s.numel()), dynamics(s, u, psi)

@@ -20,7 +20,7 @@ from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout, Tr
 
 
 class Linearisation(NamedTuple):
-    """The cost at some actions: J (1, B), dJ/dU (n_u, T B), the rollout, the costates."""
+    """The cost at given actions: J (1, B), dJ/dU (n_u, T B), the rollout and the adjoint with its costates."""
 
     value: ca.MX
     gradient: ca.MX
@@ -29,7 +29,7 @@ class Linearisation(NamedTuple):
 
 
 class Product(NamedTuple):
-    """H dU (n_u, T B), and d(dU . dJ/dU) by theta and by psi (through the dynamics alone)."""
+    """H dU (n_u, T B), and the derivatives of dU . dJ/dU by theta, and by psi through the dynamics alone."""
 
     by_actions: ca.MX
     by_coefficients: Coefficients
@@ -49,18 +49,18 @@ class ReducedCost:
 
     @cached_property
     def passes(self) -> TrajectoryPasses:
-        """The passes along the dynamics."""
+        """The forward and adjoint passes of the dynamics."""
         return self.problem.dynamics_derivatives.passes(self.problem.horizon, self.columns)
 
     def linearise(self, s0: ca.MX, actions: ca.MX, psi: ca.MX, theta: Coefficients) -> Linearisation:
-        """Value and gradient at actions (n_u, T B)."""
+        """The cost and its gradient at actions (n_u, T B)."""
         rollout = self.passes.rollout(s0, actions, psi)
         value, by_states, by_actions = self.cost.first(rollout.states, actions, theta)
         adjoint = self.passes.adjoint(rollout, psi, by_states)
         return Linearisation(value, by_actions + adjoint.by_actions, rollout, adjoint)
 
     def hessian_product(self, rollout: Rollout, memory: Memory, psi: ca.MX, theta: Coefficients, dU: ca.MX) -> Product:
-        """For a direction dU (n_u, T B), at a rollout and with the memory of its adjoint."""
+        """The product for a direction dU (n_u, T B), at a rollout and with the memory of its adjoint."""
         dS = self.passes.tangent(rollout, psi, dU)
         by_states, by_actions, by_theta = self.cost.second(rollout.states, rollout.actions, theta, dS, dU)
         adjoint = self.passes.adjoint_tangent(rollout, psi, memory, dS, dU, by_states)
@@ -68,7 +68,7 @@ class ReducedCost:
 
 
 def reduced_symbols(problem: OCP, columns: int = 1) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
-    """U (n_u, T B), s0 (n_s, B), psi (n_psi, B), c (n_c, B)."""
+    """Symbols U (n_u, T B), s0 (n_s, B), psi (n_psi, B) and c (n_c, B)."""
     return (
         ca.MX.sym("U", problem.n_actions, problem.horizon * columns),
         ca.MX.sym("s0", problem.n_states, columns),

@@ -1,4 +1,4 @@
-"""Refusals of problems that say more than a solver handles."""
+"""Refusals of problems with features that a solver does not support."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def refuse_features(problem: OCP, solver: str, alternative: str = "Riccati() or 
 
 
 def constant_bounds(problem: OCP) -> list[Array]:
-    """Lower and upper bounds (n_s,) of s_1 .. s_T, and (n_u,) of actions, that are the same at every stage."""
+    """Lower and upper bounds (n_s,) of s_1 .. s_T, then (n_u,) of actions, for a problem in which they are constant."""
     pairs = [np.asarray(bound)[1:] for bound in problem.state_bounds], map(np.asarray, problem.action_bounds)
     return [bound[0] for pair in pairs for bound in pair]
 

@@ -34,10 +34,10 @@ class StageValues:
 
 @dataclass(frozen=True, eq=False)
 class StageDerivatives(StageValues):
-    """And their derivatives, by columns, one stage after the other.
+    """The same, with derivatives: column-major matrices, one stage after the other.
 
-    F: Jacobians of f (n_s, n_x). G, E: transposed ones of h and e (n_x, n_h), (n_x, n_e), those of g_T and e_T behind.
-    H: the second derivative of the Lagrangian (n_x, n_x), at the end (n_s, n_s); the lower triangle.
+    F: Jacobians of f (n_s, n_x). G, E: transposed Jacobians of h (n_x, n_h) and e (n_x, n_e), then of g_T and e_T.
+    H: Hessians of the Lagrangian (n_x, n_x), at the end (n_s, n_s); only the lower triangles are set.
     """
 
     F: Array
@@ -73,7 +73,7 @@ class BarrierSolver(Solver, Protocol):
 
 @runtime_checkable
 class BatchSolver(Solver, Protocol):
-    """A solver that solves several in one call, in which other threads may run."""
+    """A solver that solves several instances in one call, which releases the GIL."""
 
     def solve_each(
         self, problem: OCP, s0: Array, psi: Array, context: Array, guesses: Sequence[Guess]
@@ -84,19 +84,19 @@ class BatchSolver(Solver, Protocol):
 
 @runtime_checkable
 class LinearisingSolver(Solver, Protocol):
-    """A solver that ends with the derivatives with which the sensitivity of its solution begins."""
+    """A solver that can return the derivatives at its solution, so that a sensitivity need not evaluate them again."""
 
     def solve_and_linearise(
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> tuple[Solution, StageDerivatives | None]:
-        """`solve`, and the derivatives at the solution; None where they are not at hand."""
+        """`solve`, and the derivatives at the solution; None if the solver did not end with them."""
         ...
 
 
 def solve_and_linearise(
     solver: Solver, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
 ) -> tuple[Solution, StageDerivatives | None]:
-    """A solution and its derivatives by any solver; None for derivatives that it does not hand over."""
+    """A solution by any solver, and the derivatives at it, or None if the solver does not return them."""
     if isinstance(solver, LinearisingSolver):
         return solver.solve_and_linearise(problem, s0, psi, context, guess)
     return solver.solve(problem, s0, psi, context, guess), None

@@ -37,7 +37,7 @@ class StageCost:
 
     @classmethod
     def of(cls, cost: ca.Function) -> StageCost:
-        """Of a stage cost l(s, u, psi, c, d)."""
+        """From a stage cost l(s, u, psi, c, d)."""
         kind = ca.SX if cost.is_a("SXFunction") else ca.MX
         s, u, psi, c, d = (kind.sym(name, cost.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d")))
         ds, du = kind.sym("ds", s.numel()), kind.sym("du", u.numel())
@@ -62,7 +62,7 @@ class StageCost:
 
 
 class Coefficients(NamedTuple):
-    """theta along B trajectories: stages (n_theta, T B), last (n_theta_T, B)."""
+    """Coefficients theta for B trajectories: stages (n_theta, T B), last (n_theta_T, B)."""
 
     stages: ca.MX
     last: ca.MX
@@ -79,7 +79,7 @@ class TrajectoryCost:
     columns: int
 
     def coefficients(self, psi: ca.MX, context: ca.MX) -> Coefficients:
-        """theta of all stages."""
+        """The coefficients theta of all stages."""
         T, B = self.problem.horizon, self.columns
         stages, last = coefficients_of(self.problem).map(B)(psi, context)
         if not stages.numel():
@@ -134,7 +134,7 @@ def _first_along(first: ca.Function) -> ca.Function:
     return ca.Function("first_along", [s, u, theta, dtheta], changes)
 
 
-_LARGE = 5e6  # operations that are written out for all stages, at most
+_LARGE = 5e6  # largest number of operations that are written out stage by stage
 GROUP = 16  # stages in one function: compilers take more than twice the time for one of twice the length
 
 

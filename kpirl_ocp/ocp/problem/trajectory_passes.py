@@ -52,7 +52,7 @@ class TrajectoryPasses(Protocol):
     """The four passes as expressions; psi is (n_psi, B)."""
 
     def rollout(self, s0: ca.MX, actions: ca.MX, psi: ca.MX) -> Rollout:
-        """Of s0 (n_s, B) and actions (n_u, T B)."""
+        """The rollout from s0 (n_s, B) with actions (n_u, T B)."""
         ...
 
     def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
@@ -60,7 +60,7 @@ class TrajectoryPasses(Protocol):
         ...
 
     def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
-        """For q_0 .. q_T as Q (n_s, (T+1) B)."""
+        """The adjoint for q_0 .. q_T, given as Q (n_s, (T+1) B)."""
         ...
 
     def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
@@ -90,7 +90,7 @@ class StagePasses:
         return Rollout(ca.horzcat(s0, states), actions, ())
 
     def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
-        """Changes of the states, of s_0 none."""
+        """Changes of the states; s_0 does not change."""
         zero = ca.MX.zeros(self.dynamics.size1_in(0), self.columns)
         return ca.horzcat(zero, *self._scan(self._tangent, zero, *_stages(at), psi, dU))
 
@@ -104,7 +104,7 @@ class StagePasses:
         return self._backwards(self._adjoint_tangent, Q, *_stages(at), psi, *memory, *direction)
 
     def clearance(self, moves: ca.MX, nearest: ca.MX) -> ca.MX:
-        """Not known."""
+        """No bound is known."""
         return ca.MX(0.0)
 
     def _scan(self, stage: ca.Function, start: ca.MX, *inputs: ca.MX, backwards: bool = False) -> list[ca.MX]:
@@ -119,7 +119,7 @@ class StagePasses:
 
     @cached_property
     def _symbols(self) -> tuple[ca.MX, ...]:
-        """s, u, psi, lambda, ds, du, mu, q."""
+        """Symbols s, u, psi, lambda, ds, du, mu and q."""
         s, u, psi = (self.dynamics.size1_in(i) for i in range(3))
         sizes = {"s": s, "u": u, "psi": psi, "lam": s, "ds": s, "du": u, "mu": s, "q": s}
         return tuple(ca.MX.sym(name, size) for name, size in sizes.items())
@@ -145,7 +145,7 @@ class StagePasses:
 
 
 def _stages(at: Rollout) -> tuple[ca.MX, ca.MX]:
-    """States and actions of the stages t < T."""
+    """States and actions of the stages t = 0 .. T-1."""
     return at.states[:, : at.actions.size2()], at.actions
 
 
@@ -168,6 +168,6 @@ def _vjp(dynamics: ca.Function) -> ca.Function:
 
 
 def _symbols_of(dynamics: ca.Function) -> list[ca.SX | ca.MX]:
-    """s, u and psi: scalar graphs (SX) where the dynamics are one."""
+    """Symbols s, u and psi: SX where the dynamics are an SX function, else MX."""
     kind = ca.SX if dynamics.is_a("SXFunction") else ca.MX
     return [kind.sym(name, dynamics.size1_in(i)) for i, name in enumerate(("s", "u", "psi"))]
