@@ -1,4 +1,4 @@
-"""The directory of a run's results: it can be written to, and belongs to one run at a time."""
+"""The directory for the results of a run: it must be writable, and is locked against other runs."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 @contextlib.contextmanager
 def results_in(path: Path) -> Iterator[None]:
-    """A block whose results go to a directory, which is made if there is none, and held against other runs.
+    """A context in which results are written to a directory: it is created if missing, and locked against other runs.
 
-    Raises OptionError if nothing can be written there, if another run holds it, or if the disk is full in the end.
+    Raises OptionError if it is not writable, if another run has locked it, or if the disk is full when results are
+    written.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -44,7 +45,7 @@ def _unwritable(path: Path, error: OSError) -> OptionError:
 
 @contextlib.contextmanager
 def _held(path: Path) -> Iterator[None]:
-    """Hold a directory, where the file system has locks; the lock ends with this process, however it ends."""
+    """Lock a directory, if the file system has locks; the lock ends with this process, even if it is killed."""
     place = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,7 +1,7 @@
 """`kpirl COMMAND OPTIONS`: reads and checks the options, then imports and does the work.
 
-Exit codes: 0, 1 for a result that is not what was asked for, 2 for wrong input, 130 after Ctrl-C or SIGTERM,
-141 where nobody reads the output any more.
+Exit codes: 0 for success, 1 for a result that misses its target, 2 for wrong input, 130 after Ctrl-C or SIGTERM,
+141 if the reader of the output has gone (as after `| head`).
 """
 
 from __future__ import annotations
@@ -60,16 +60,16 @@ def script(command: str) -> None:
 
 
 def experiment(description: str, add_options: Callable[[Parser], None], module: str) -> None:
-    """A script with options of its own, of the command line, whose work is `main(args)` of a module. Exits.
+    """Run a script of this repository: parse its options, then call `main(args)` of a module. Exits.
 
-    The module is imported once the options are known to be right.
+    The module is imported only after the options have been checked.
     """
     parser = build_parser(Path(sys.argv[0]).name, description, add_options)
     sys.exit(_with_sentences(lambda: _read_and_work(parser, sys.argv[1:], module)))
 
 
 def run(words: Sequence[str]) -> int:
-    """Run a command line and give the exit code; an error that the user can mend is one line on stderr."""
+    """Run a command line and return the exit code; errors that a user can correct are printed as one line on stderr."""
     return _with_sentences(lambda: _dispatch(list(words)))
 
 
@@ -91,7 +91,7 @@ def _with_sentences(work: Callable[[], int]) -> int:
 
 
 def _nobody_reads() -> bool:
-    """Whether the reader of stdout is gone, as after `| head`; then nothing more is written there."""
+    """True if the reader of stdout has gone, as after `| head`; stdout is then redirected to /dev/null."""
     poll = select.poll()
     poll.register(sys.stdout.fileno(), 0)
     gone = any(event & select.POLLERR for _, event in poll.poll(0))
@@ -167,7 +167,7 @@ def _missing(program: str, error: ModuleNotFoundError) -> Exception:
 
 @contextlib.contextmanager
 def _hushed(quiet: bool) -> Iterator[None]:
-    """Without tables and progress bars, if `quiet`."""
+    """A context without output to stdout and stderr, if `quiet`."""
     if not quiet:
         yield
         return

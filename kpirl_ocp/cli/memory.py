@@ -1,4 +1,4 @@
-"""The memory of a command is at most the machine's: too large a problem ends in a sentence, and is not killed."""
+"""A limit on the memory of a command, so that too large a problem ends with an error message and is not killed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from kpirl_ocp.errors import ResourceError
 
 @contextlib.contextmanager
 def within_memory() -> Iterator[None]:
-    """A block that may take as much memory as the machine has, or less where a limit is set already.
+    """A context that may use as much memory as the machine has, or less if there is a limit already.
 
-    Raises ResourceError for more.
+    Raises ResourceError if it needs more.
     """
     limit, most = before = resource.getrlimit(resource.RLIMIT_DATA)
     if limit == resource.RLIM_INFINITY:
@@ -23,7 +23,7 @@ def within_memory() -> Iterator[None]:
     try:
         yield
     except (MemoryError, RuntimeError) as error:
-        if isinstance(error, RuntimeError) and "bad_alloc" not in str(error):  # what C++ says, by way of CasADi
+        if isinstance(error, RuntimeError) and "bad_alloc" not in str(error):  # the C++ exception, passed on by CasADi
             raise
         there = f"the {limit / 2**30:.1f} GiB that there are"
         raise ResourceError(

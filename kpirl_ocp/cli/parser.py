@@ -1,4 +1,4 @@
-"""One parser for every subcommand: common options, files of options, and errors of one sentence."""
+"""The parser of every subcommand: common options, options from a file, and error messages of one sentence."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class Parser(argparse.ArgumentParser):
         raise OptionError(re.sub(r"^argument ", "", message))
 
     def options(self) -> dict[str, argparse.Action]:
-        """The options and positional arguments by name, without those that are about the call itself."""
+        """Options and positional arguments by name, without --config, --quiet and --help."""
         return {action.dest: action for action in self._actions if action.dest not in _COMMON}
 
     def read(self, words: Sequence[str]) -> argparse.Namespace:
-        """The options of a command line, over those of its --config file, over the defaults.
+        """The options of a command line; its --config file and then the defaults supply those not given.
 
         Raises:
             OptionError: an option is unknown, or a value is not accepted.
@@ -57,7 +57,7 @@ class Parser(argparse.ArgumentParser):
         return self.parse_args(words)
 
     def _know(self, words: Sequence[str]) -> None:
-        """Raise OptionError, with the nearest that exists, for an option that does not."""
+        """Raise OptionError, suggesting the nearest option, for an option that does not exist."""
         known = list(self._option_string_actions)
         for word in words:
             name = word.split("=")[0]
@@ -70,7 +70,7 @@ class Parser(argparse.ArgumentParser):
         return finder.parse_known_args([word for word in words if word not in ("-h", "--help")])[0].config
 
     def _adopt(self, config: Path) -> None:
-        """Values of a file become defaults, by way of words, so that the same are accepted as on the command line."""
+        """Make the values of a file defaults; they are parsed like words of a command line, with the same checks."""
         options, words, given = self.options(), [], {}
         for name, value in read_config(config).items():
             if name == "command" and value != self.command:
@@ -94,7 +94,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _words(action: argparse.Action, value: Any, place: str) -> list[str]:
-    """The words of a command line that give an option this value, which stands at a place of a file."""
+    """The command-line words that set an option to a value. place: where the value is, for error messages."""
     name = list(action.option_strings[-1:])
     if action.nargs == 0 and not isinstance(value, bool):
         raise OptionError(f"{place} must be true or false, got {value!r}")
@@ -106,14 +106,14 @@ def _words(action: argparse.Action, value: Any, place: str) -> list[str]:
 
 
 def build_parser(program: str, description: str, add_options: Callable[[Parser], None]) -> Parser:
-    """The parser of a program: its own options, and those that all have."""
+    """The parser of a program, with its own options and the common ones."""
     parser = Parser(program, description)
     add_options(parser)
     if "out" not in parser.options():
         place = Path("out") / Path(parser.command).stem
         parser.add_argument("--out", type=directory, default=place, help="directory (default: %(default)s)")
     parser.add_argument(
-        "--config", type=existing_file, metavar="FILE.yaml", help="options; the command line goes first"
+        "--config", type=existing_file, metavar="FILE.yaml", help="options; the command line takes precedence"
     )
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     return parser

@@ -10,7 +10,7 @@ from kpirl_ocp.errors import KpirlError, OptionError
 
 @contextlib.contextmanager
 def of_option(name: str) -> Iterator[None]:
-    """A block that reads what one option names; its errors become OptionErrors that begin with an option."""
+    """A context that reads the value of an option; its errors become OptionErrors that begin with its name."""
     try:
         yield
     except (KpirlError, OSError) as error:

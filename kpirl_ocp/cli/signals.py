@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM in commands: both raise KeyboardInterrupt, and neither is lost in CasADi."""
+"""Ctrl-C and SIGTERM in commands: both raise KeyboardInterrupt, which CasADi must not swallow."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-_AGAIN = 0.01  # [s] until the next look whether CasADi is done
+_AGAIN = 0.01  # [s] after which a delayed signal is tried again
 
 
 @contextlib.contextmanager
 def stoppable() -> Iterator[None]:
-    """A block in which SIGTERM, as schedulers of clusters send it, does what Ctrl-C does.
+    """A context in which SIGTERM, which cluster schedulers send, has the effect of Ctrl-C.
 
-    Both wait while CasADi reads arguments, as it drops exceptions there or makes other ones of them.
+    Both are delayed while CasADi converts arguments, since it drops or replaces exceptions there.
     """
-    if threading.current_thread() is not threading.main_thread():  # which alone may say so
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may set handlers
         yield
         return
     numbers = [signal.SIGTERM, signal.SIGALRM]
@@ -34,7 +34,7 @@ def stoppable() -> Iterator[None]:
 
 def _stop(number: int, frame: FrameType | None) -> None:
     if number != signal.SIGINT and callable(signal.getsignal(signal.SIGINT)):
-        signal.raise_signal(signal.SIGINT)  # for whoever handles it now
+        signal.raise_signal(signal.SIGINT)  # so that the present handler of Ctrl-C is called
     elif _within_casadi(frame):
         signal.setitimer(signal.ITIMER_REAL, _AGAIN)
     else:

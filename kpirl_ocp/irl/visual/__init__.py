@@ -1,4 +1,4 @@
-"""Costs from visual demonstrations, and control behind a camera."""
+"""Learning costs from visual demonstrations, and control from camera images."""
 
 from kpirl_ocp.irl.visual.camera_learning import (
     CameraLearning,

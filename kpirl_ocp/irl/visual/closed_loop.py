@@ -1,13 +1,14 @@
-"""From a learned cost to motion: plan once and play the plan, or plan again after every look (MPC).
+"""From a learned cost to motion: plan once and execute the plan, or plan again after every image (MPC).
 
     u  <-  u' + plan(s_t | u') - plan(s'_t | u')
 
-plans with the remaining cost from the remaining plan u'; s_t = (z_t, theta_t, theta_dot_t) is the measured state, s'_t
-the one that the model predicted. Only the prediction error changes the plan. For a converged solver
-plan(s'_t | u') = u' (Bellman), which leaves plan(s_t | u'). But N gradient steps more, on a plan of N gradient steps,
-go farther than was learned, even where all went as planned.
+Here plan(s | u') minimises the remaining cost from state s, starting at the remaining plan u'; s_t = (z_t, theta_t,
+theta_dot_t) is the measured state, and s'_t the one that the model predicted. Only the prediction error changes the
+plan. For a converged solver plan(s'_t | u') = u' (Bellman), so that the right-hand side is plan(s_t | u'). With N
+gradient steps it is not: N more steps from a plan that took N would move farther than was learned, even without any
+prediction error.
 
-A keypoint that the detector is not sure of (mu) is replaced by where the model expects it.
+Keypoints of low confidence (mu) are replaced by those that the model predicts.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from kpirl_ocp.types import Array, Sight, Solution, Trajectory
 
 
 class Plant(Protocol):
-    """The robot and its camera, or something that stands for them."""
+    """The robot and its camera, or a simulation of them."""
 
     def look(self) -> Sight:
         """Detect keypoints and measure the joints."""
@@ -44,8 +45,8 @@ class Execution(Brief):
     """Record of a motion.
 
     keypoints: (T+1, K, 3) detected. joints: (T+1, n_joints) measured [rad]. actions: (T, n_joints) commanded [rad].
-    believed: (T+1, n_z) keypoints from which was planned: the detected ones, or predicted ones where mu was too low.
-    plans: the solutions from measured states, one if the loop was open, T if it was closed.
+    believed: (T+1, n_z) keypoints used for planning: the detected ones, or predicted ones where mu was too low.
+    plans: the solutions from measured states, one in open loop, T in closed loop.
     """
 
     keypoints: Array
@@ -64,7 +65,7 @@ class Execution(Brief):
 class KeypointController:
     """Plans with a learned cost.
 
-    cost: its horizon T is the number of actions. closed_loop: plan again after every look.
+    cost: its horizon T is the number of actions. closed_loop: plan again after every image.
     confidence: predicted keypoints replace the detected ones while the mu of any keypoint is below this share of its
         first one; an occlusion also draws away neighbouring keypoints, whose own mu stays high.
     """

@@ -20,7 +20,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.types import Array, Demonstration, Mask
 
-# A keypoint moves if it goes at least this share of the way of the one that goes farthest.
+# A keypoint counts as moving if it moves at least this share of the distance of the one that moves farthest.
 _MOVES = 0.5
 
 

@@ -1,9 +1,10 @@
 """Learning costs from visual demonstrations: the paper's way, with the converged inner problem, and its baseline.
 
 The paper's inner loop takes N gradient steps of size alpha and is differentiated by unrolling; its weights are free.
-The converged inner problem needs an effort weight and positive weights. It goes about as far as N gradient steps with
-an effort of rho = 1 / (2 alpha N) times the weights; the cost is divided by rho, so that effort is 1 and weights are
-small numbers. Softplus changes small weights by factors and large ones by amounts. The gradient is implicit.
+The converged inner problem needs an effort weight and positive weights. Its plan moves about as far as N gradient steps
+with an effort weight rho = 1 / (2 alpha N); the cost is divided by rho, so that the effort weight is 1 and the other
+weights are small. They are softplus of their parameters, which scales small weights and shifts large ones. The gradient
+is implicit.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class InnerLoop:
 
     @property
     def effort(self) -> float:
-        """The effort weight with which a converged problem goes about as far."""
+        """The effort weight with which the converged plan moves about as far as N gradient steps do."""
         return 1 / (2 * self.steps * self.step_size)
 
 
@@ -61,9 +62,9 @@ class InnerLoop:
 class LearnedPlan(Brief):
     """A learned cost and the history of learning.
 
-    family, psi: the parameters (n_psi,) that were learned, and the costs that they choose from.
-    losses: (n+1,) mean training IRL loss after 0 .. n outer iterations. best: the one whose cost was kept.
-    seconds: wall time.
+    family, psi: the family of costs, and the learned parameters (n_psi,) of its member.
+    losses: (n+1,) mean training IRL loss after 0 .. n outer iterations. best: the iteration whose cost was kept.
+    seconds: wall time of learning.
     """
 
     cost: PlanningCost
@@ -75,7 +76,7 @@ class LearnedPlan(Brief):
 
 
 def starting_weights(basis: Basis, horizon: int, n_observations: int, rng: np.random.Generator) -> Array:
-    """Random weights (J, n_z), the same at all times: which coordinates matter is not known at the start."""
+    """Random initial weights (J, n_z), constant over time and different for each coordinate."""
     scale = rng.uniform(_LEAST_WEIGHT, _LARGEST_WEIGHT, n_observations)
     return np.tile(scale, (basis.matrix(horizon).shape[1], 1))
 
@@ -91,14 +92,14 @@ def learn_unrolled(
     effort: Effort | None = None,
     start: float | None = None,
 ) -> LearnedPlan:
-    """The paper's Algorithm 1.
+    """Learn with unrolled gradients, the paper's Algorithm 1.
 
     Args:
-        iterations: of the outer loop.
-        rng: draws the starting weights, unless `start` gives them.
-        optimiser: Adam as in the paper's code, or `Descent`, as the paper has it.
-        effort: None, as in the paper, or learned from a small value on.
-        start: of all weights, as in the paper's code.
+        iterations: number of outer iterations.
+        rng: draws the initial weights, unless `start` gives them.
+        optimiser: Adam as in the paper's code, or `Descent` as in the paper's text.
+        effort: None for no effort, as in the paper; else it is learned, starting from a small value.
+        start: one initial value for all weights, as in the paper's code.
 
     Raises:
         ProblemError: demonstrations differ in length.
@@ -126,7 +127,7 @@ def learn_implicit(
     rng: np.random.Generator,
     effort: Effort = "fixed",
 ) -> LearnedPlan:
-    """The converged inner problem, its implicit gradient and L-BFGS, which may end before `iterations`.
+    """Learn with implicit gradients of the converged plan, by L-BFGS, which may stop before `iterations`.
 
     Raises:
         ProblemError: demonstrations differ in length.

@@ -2,10 +2,10 @@
 
     z_goal,t[i] = z_demo[i] at the end of the part that step t belongs to
 
-With non-negative weights W a cost sum_t W_t (z_t - z_goal)^2 draws every coordinate towards its goal at all times, so a
-plan never moves away from it: with the one goal of the paper, the last keypoints, what is lifted, carried and put down
-at the same height would not be lifted, and what is carried last would be drawn aside before. A coordinate that goes to
-its last value at once has that goal at all times.
+With non-negative weights W, a cost sum_t W_t (z_t - z_goal)^2 draws every coordinate towards its goal at all times, so
+a plan never moves away from it. With the paper's single goal, the last keypoints, an object that is lifted, carried and
+put down at the same height would not be lifted, and one that moves sideways only at the end would do so too early. A
+coordinate that moves to its last value directly has this goal at all times.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from kpirl_ocp.types import Array
 
-_REST = 3  # steps that a rest takes at least
+_REST = 3  # smallest number of steps that count as a rest
 
 
 def goals_of_parts(observations: Array, least: float) -> Array:

@@ -1,8 +1,8 @@
-"""Costs over detected keypoints that are ready to plan with, however they were found.
+"""Costs over detected keypoints in one common form, with which to plan.
 
-Every member of the family is its weights W (T, n_z) and efforts rho (T,), so one planning problem serves all of them,
-with psi = (W row by row, rho). It also serves the rest of a plan: after t steps the weights move up by t rows, and
-the steps beyond the horizon get no weight.
+Every cost is given by its weights W (T, n_z) and efforts rho (T,), so that one planning problem serves them all, with
+psi = (W row by row, rho). It also serves to plan again during execution: after t steps the weights are shifted by t
+rows, and steps beyond the horizon get zero weight.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from kpirl_ocp.types import Array
 
 @dataclass(frozen=True)
 class ArmLimits:
-    """An arm and the limits that its plans keep.
+    """An arm and the limits within which to plan.
 
     robot: "iiwa", a name of example-robot-data, or the path of a URDF. lower, upper: of n_joints joints [rad].
-    max_displacement: |u| per step and joint [rad].
+    max_displacement: largest |u| per step and joint [rad].
     """
 
     robot: str
@@ -60,7 +60,7 @@ class PlanningCost:
 
     @classmethod
     def of(cls, cost: KeypointCost, psi: ArrayLike, horizon: int, n_observations: int, solver: Solver) -> PlanningCost:
-        """The member psi (n_psi,) of a family of costs."""
+        """The cost with parameters psi (n_psi,) of a family of costs."""
         return cls(*cost.weights(psi, horizon, n_observations), solver)
 
     @classmethod
@@ -79,7 +79,7 @@ class PlanningCost:
         return np.concatenate([self.weights.ravel(), self.efforts])
 
     def after(self, steps: int) -> PlanningCost:
-        """The remaining cost after `steps` of the plan; effort alone keeps the steps beyond the end at zero."""
+        """The remaining cost after `steps` of the plan; steps beyond the end cost effort only, and so stay at zero."""
         if not 0 <= steps <= self.horizon:
             raise ProblemError(f"steps must be within the plan of {self.horizon}, got {steps}.")
         past_the_end = np.full(steps, self.efforts.max())

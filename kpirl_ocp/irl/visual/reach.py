@@ -14,14 +14,14 @@ from kpirl_ocp.ocp.models.robot import Robot
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, Demonstration
 
-_OUT_OF_REACH = 0.1  # relative distance that the arm's best path may keep from the demonstration
+_OUT_OF_REACH = 0.1  # largest path distance of the arm's best path from the demonstration
 _SHOWN = 0.1  # a motion is part of the demonstration if it makes up this share of the way
-_HARDLY = 0.1  # of the best motion's pixels per radian
-_ACROSS = 0.3  # share of a motion that may be missing
+_HARDLY = 0.1  # a motion is not possible below this share of the best motion's pixels per radian
+_ACROSS = 0.3  # share of a motion that may be left out when it is composed of singular vectors
 
 
 def check_reach(setting: ArmSetting, robot: Robot, demonstration: Demonstration) -> float:
-    """The path distance that the arm keeps at best. Raises DemonstrationError if it cannot follow."""
+    """The path distance of the arm's best plan from the demonstration. Raises DemonstrationError if it is too large."""
     horizon, n_z = len(demonstration.observations) - 1, demonstration.observations.shape[1]
     tracker = tracking_problem(robot, horizon, setting.unit, setting.camera)
     theta = demonstration.s0[n_z : n_z + robot.n_joints]
