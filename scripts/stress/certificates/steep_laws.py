@@ -46,26 +46,25 @@ def in_a_weight(rng):
     )
 
 
-def in_an_inequality(rng):
-    """v <= phi(p), out of reach of the target."""
+def _at_most(rng, constraint):
+    """v <= phi(p), with a target beyond. constraint: phi -> the field of the law that states it."""
     beyond = rng.uniform(1, 3)
     return _of_psi(
         rng,
         lambda x: x,
         lambda x: 1.0,
-        lambda phi, x: {"cost": lambda v, p: (v - x - beyond) ** 2, "inequality": lambda v, p: v - phi(p)},
+        lambda phi, x: {"cost": lambda v, p: (v - x - beyond) ** 2} | constraint(phi),
     )
+
+
+def in_an_inequality(rng):
+    """v <= phi(p) as an inequality."""
+    return _at_most(rng, lambda phi: {"inequality": lambda v, p: v - phi(p)})
 
 
 def in_a_bound(rng):
     """v <= phi(p) as a bound."""
-    beyond = rng.uniform(1, 3)
-    return _of_psi(
-        rng,
-        lambda x: x,
-        lambda x: 1.0,
-        lambda phi, x: {"cost": lambda v, p: (v - x - beyond) ** 2, "upper": phi},
-    )
+    return _at_most(rng, lambda phi: {"upper": phi})
 
 
 def in_an_equality(rng):
