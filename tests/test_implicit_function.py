@@ -226,3 +226,37 @@ def test_the_newton_step_from_a_perturbed_solution_leads_back_to_it(name):
     step = Factorisation(there).newton_step()
     scale = np.abs(system.point.costates).max()
     np.testing.assert_allclose(moved.costates + step.costates, system.point.costates, rtol=0, atol=1e-8 * scale)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 5, 31, 40])
+def test_qualification_of_states_at_their_bounds_is_the_smallest_singular_value_of_sums_of_actions(steps):
+    """s_t = u_0 + .. + u_{t-1} <= 1 at every t: rows (1, .., 1, 0, .., 0) / sqrt t; from few rows, and from many."""
+    s, u = ca.SX.sym("s"), ca.SX.sym("u")
+    cost = {"stage_cost": u**2 - 100 * s, "terminal_cost": -100 * s}
+    problem = OCP.from_expressions(state=s, action=u, horizon=steps, dynamics=s + u, state_bounds=(-9, 1), **cost)
+    found = sensitivity(problem, Riccati(1e-10).solve(problem, [0.0]), "flag")
+    certificate = found.pull(np.ones((steps + 1, 1)), np.ones((steps, 1))).certificate
+    rows = np.tril(np.ones((steps, steps))) / np.sqrt(np.arange(1, steps + 1))[:, None]
+    assert certificate.active.sum() == steps
+    np.testing.assert_allclose(certificate.qualification, np.linalg.svd(rows)[1].min(), rtol=0.1)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0 - 1e-4, 1.0])
+def test_qualification_of_a_row_beside_actions_at_their_bounds_is_that_of_the_angle_between_them(share):
+    """Rows u_1 and a u_1 + b u_2, a^2 + b^2 = 1: the smallest singular value is sqrt(1 - a)."""
+    s, u = ca.SX.sym("s"), ca.SX.sym("u", 2)
+    other = np.sqrt(1 - share**2)
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=1,
+        dynamics=s + u[0],
+        stage_cost=ca.sumsqr(u - 2),
+        action_bounds=([-9, -9], [1, 9]),
+        path_constraint=share * u[0] + other * u[1] - (share + other),
+    )
+    solution = Riccati(1e-10).solve(problem, [0.0])
+    certificate = sensitivity(problem, solution, "flag").pull(np.ones((2, 1)), np.ones((1, 2))).certificate
+    if certificate.active.sum() == 2:
+        np.testing.assert_allclose(certificate.qualification, np.sqrt(1 - share), rtol=1e-2, atol=1e-5)
+    assert certificate.certified is (share < 1)

@@ -126,3 +126,78 @@ void kpirl_mpc_relative_forces(const kpirl_mpc_kkt *k, const real *forces, real 
   int i;
   for (i = 0; i < kpirl_mpc_system_n_rows(&k->system); ++i) relative[i] = forces[i] == 0 ? 0 : forces[i] * k->shares[i];
 }
+
+/* ---- lengths of rows ---------------------------------------------------------------------------------------- */
+
+/* a' S a for the columns a (n) of `columns`; product: n numbers. */
+static void variances(const real *columns, int n, int rows, const real *S, real *product, real *result) {
+  int r;
+  for (r = 0; r < rows; ++r) {
+    memset(product, 0, (size_t)n * sizeof(real));
+    kpirl_mpc_times_vector(S, n, n, columns + r * n, product);
+    result[r] = kpirl_mpc_dot(columns + r * n, product, n);
+  }
+}
+
+/* Does a row that counts see more than one action? */
+static int only_actions(const kpirl_mpc_system *s) {
+  const int n_x = s->n_states + s->n_actions, m = kpirl_mpc_system_n_rows(s);
+  int i;
+  for (i = 0; i < m; ++i)
+    if (s->active[i] != 0 && (i >= s->n_bounds || s->entries[i] % n_x < s->n_states)) return 0;
+  return 1;
+}
+
+/* Row . covariance . row, where decisions are white in their units, stage by stage. */
+static void row_variances(kpirl_mpc_system *s, real *values) {
+  const int T = s->horizon, n_s = s->n_states, n_u = s->n_actions, n_x = n_s + n_u;
+  real *S = s->scratch, *SFt = S + n_x * n_x, *Ft = SFt + n_x * n_s, *product = Ft + n_x * n_s, *of_x = product + n_x;
+  const int n_h = s->n_path, n_e = s->n_equality;
+  real *path = values + s->n_bounds, *equality = path + T * n_h + s->n_terminal;
+  int t, i, j;
+  memset(S, 0, (size_t)n_x * n_x * sizeof(real));
+  for (i = 0; i < s->n_free; ++i) S[s->free[i] * (n_x + 1)] = 1 / (s->roots[i] * s->roots[i]);
+  for (t = 0; t < T; ++t) {
+    const real *F = s->F + (size_t)t * n_s * n_x;
+    for (i = 0; i < n_u; ++i) {
+      const real root = s->roots[s->n_free + t * n_u + i];
+      S[(n_s + i) * (n_x + 1)] = 1 / (root * root);
+    }
+    for (i = 0; i < n_x; ++i) of_x[t * n_x + i] = S[i * (n_x + 1)];
+    variances(s->G + (size_t)t * n_x * n_h, n_x, n_h, S, product, path + t * n_h);
+    variances(s->E + (size_t)t * n_x * n_e, n_x, n_e, S, product, equality + t * n_e);
+    kpirl_mpc_transpose(F, n_s, n_x, Ft);
+    memset(SFt, 0, (size_t)n_x * n_s * sizeof(real));
+    kpirl_mpc_times(S, n_x, n_x, Ft, n_s, SFt);
+    memset(Ft, 0, (size_t)n_s * n_s * sizeof(real));
+    kpirl_mpc_times(F, n_s, n_x, SFt, n_s, Ft);
+    memset(S, 0, (size_t)n_x * n_x * sizeof(real));
+    for (j = 0; j < n_s; ++j) memcpy(S + j * n_x, Ft + j * n_s, (size_t)n_s * sizeof(real));
+  }
+  for (i = 0; i < n_s; ++i) of_x[T * n_x + i] = S[i * (n_x + 1)];
+  if (T > 0)
+    for (i = 0; i < n_s; ++i) memmove(S + i * n_s, S + i * n_x, (size_t)n_s * sizeof(real));
+  variances(s->G + (size_t)T * n_x * n_h, n_s, s->n_terminal, S, product, path + T * n_h);
+  variances(s->E + (size_t)T * n_x * n_e, n_s, s->n_terminal_equality, S, product, equality + T * n_e);
+  for (i = 0; i < s->n_bounds; ++i) values[i] = of_x[s->entries[i]];
+}
+
+/* Returns whether no decision moves some active row; such a row has length 1. */
+int kpirl_mpc_find_lengths(kpirl_mpc_system *s) {
+  const int n_x = s->n_states + s->n_actions, m = kpirl_mpc_system_n_rows(s);
+  int i, immovable = 0;
+  memset(s->lengths, 0, (size_t)m * sizeof(real));
+  if (!only_actions(s))
+    row_variances(s, s->lengths);
+  else
+    for (i = 0; i < s->n_bounds; ++i) {
+      const int t = s->entries[i] / n_x, k = s->entries[i] % n_x - s->n_states;
+      const real root = k >= 0 ? s->roots[s->n_free + t * s->n_actions + k] : 1;
+      s->lengths[i] = k >= 0 ? 1 / (root * root) : 0;
+    }
+  for (i = 0; i < m; ++i) {
+    immovable |= s->active[i] != 0 && s->lengths[i] == 0;
+    s->lengths[i] = s->lengths[i] == 0 ? 1 : kpirl_mpc_root(s->lengths[i]);
+  }
+  return immovable;
+}

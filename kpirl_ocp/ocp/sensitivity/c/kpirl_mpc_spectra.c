@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT
  *
- * What a linearised KKT system is conditioned by: lengths of rows, outer eigenvalues.
+ * What a linearised KKT system is conditioned by: outer eigenvalues.
  */
 #include "kpirl_mpc_system.h"
 
@@ -11,81 +11,6 @@ static const real DEPENDENCE = (real)1e-11; /* singular values are known to its 
 
 /* Where the vectors of an eigenvalue begin: behind the scratch of products. */
 static real *vectors_of(const kpirl_mpc_system *s) { return s->scratch + kpirl_mpc_system_inner_scratch(s); }
-
-/* ---- lengths of rows ---------------------------------------------------------------------------------------- */
-
-/* a' S a for the columns a (n) of `columns`; product: n numbers. */
-static void variances(const real *columns, int n, int rows, const real *S, real *product, real *result) {
-  int r;
-  for (r = 0; r < rows; ++r) {
-    memset(product, 0, (size_t)n * sizeof(real));
-    kpirl_mpc_times_vector(S, n, n, columns + r * n, product);
-    result[r] = kpirl_mpc_dot(columns + r * n, product, n);
-  }
-}
-
-/* Does a row that counts see more than one action? */
-static int only_actions(const kpirl_mpc_system *s) {
-  const int n_x = s->n_states + s->n_actions, m = kpirl_mpc_system_n_rows(s);
-  int i;
-  for (i = 0; i < m; ++i)
-    if (s->active[i] != 0 && (i >= s->n_bounds || s->entries[i] % n_x < s->n_states)) return 0;
-  return 1;
-}
-
-/* Row . covariance . row, where decisions are white in their units, stage by stage. */
-static void row_variances(kpirl_mpc_system *s, real *values) {
-  const int T = s->horizon, n_s = s->n_states, n_u = s->n_actions, n_x = n_s + n_u;
-  real *S = s->scratch, *SFt = S + n_x * n_x, *Ft = SFt + n_x * n_s, *product = Ft + n_x * n_s, *of_x = product + n_x;
-  const int n_h = s->n_path, n_e = s->n_equality;
-  real *path = values + s->n_bounds, *equality = path + T * n_h + s->n_terminal;
-  int t, i, j;
-  memset(S, 0, (size_t)n_x * n_x * sizeof(real));
-  for (i = 0; i < s->n_free; ++i) S[s->free[i] * (n_x + 1)] = 1 / (s->roots[i] * s->roots[i]);
-  for (t = 0; t < T; ++t) {
-    const real *F = s->F + (size_t)t * n_s * n_x;
-    for (i = 0; i < n_u; ++i) {
-      const real root = s->roots[s->n_free + t * n_u + i];
-      S[(n_s + i) * (n_x + 1)] = 1 / (root * root);
-    }
-    for (i = 0; i < n_x; ++i) of_x[t * n_x + i] = S[i * (n_x + 1)];
-    variances(s->G + (size_t)t * n_x * n_h, n_x, n_h, S, product, path + t * n_h);
-    variances(s->E + (size_t)t * n_x * n_e, n_x, n_e, S, product, equality + t * n_e);
-    kpirl_mpc_transpose(F, n_s, n_x, Ft);
-    memset(SFt, 0, (size_t)n_x * n_s * sizeof(real));
-    kpirl_mpc_times(S, n_x, n_x, Ft, n_s, SFt);
-    memset(Ft, 0, (size_t)n_s * n_s * sizeof(real));
-    kpirl_mpc_times(F, n_s, n_x, SFt, n_s, Ft);
-    memset(S, 0, (size_t)n_x * n_x * sizeof(real));
-    for (j = 0; j < n_s; ++j) memcpy(S + j * n_x, Ft + j * n_s, (size_t)n_s * sizeof(real));
-  }
-  for (i = 0; i < n_s; ++i) of_x[T * n_x + i] = S[i * (n_x + 1)];
-  if (T > 0)
-    for (i = 0; i < n_s; ++i) memmove(S + i * n_s, S + i * n_x, (size_t)n_s * sizeof(real));
-  variances(s->G + (size_t)T * n_x * n_h, n_s, s->n_terminal, S, product, path + T * n_h);
-  variances(s->E + (size_t)T * n_x * n_e, n_s, s->n_terminal_equality, S, product, equality + T * n_e);
-  for (i = 0; i < s->n_bounds; ++i) values[i] = of_x[s->entries[i]];
-}
-
-/* Returns whether no decision moves some active row; such a row has length 1. */
-static int find_lengths(kpirl_mpc_system *s) {
-  const int n_x = s->n_states + s->n_actions, m = kpirl_mpc_system_n_rows(s);
-  int i, immovable = 0;
-  memset(s->lengths, 0, (size_t)m * sizeof(real));
-  if (!only_actions(s))
-    row_variances(s, s->lengths);
-  else
-    for (i = 0; i < s->n_bounds; ++i) {
-      const int t = s->entries[i] / n_x, k = s->entries[i] % n_x - s->n_states;
-      const real root = k >= 0 ? s->roots[s->n_free + t * s->n_actions + k] : 1;
-      s->lengths[i] = k >= 0 ? 1 / (root * root) : 0;
-    }
-  for (i = 0; i < m; ++i) {
-    immovable |= s->active[i] != 0 && s->lengths[i] == 0;
-    s->lengths[i] = s->lengths[i] == 0 ? 1 : kpirl_mpc_root(s->lengths[i]);
-  }
-  return immovable;
-}
 
 /* ---- operators ---------------------------------------------------------------------------------------------- */
 
@@ -160,7 +85,7 @@ static void multipliers(const void *self, const real *b, real *product) {
 int kpirl_mpc_system_factor(kpirl_mpc_system *s, const real *start) {
   const int m = kpirl_mpc_system_n_rows(s), n = s->n_decisions;
   real *vector = vectors_of(s), *weights = vector, error;
-  const int immovable = find_lengths(s);
+  const int immovable = kpirl_mpc_find_lengths(s);
   int i;
   memcpy(vector, start, (size_t)n * sizeof(real));
   s->scale = 0;
@@ -202,5 +127,116 @@ real kpirl_mpc_system_qualification(kpirl_mpc_system *s, const real *start) {
   kpirl_mpc_factor_weighted(s, NULL, vector);
   for (i = 0; i < m; ++i) vector[i] = s->active[i] * start[i];
   value = 1 / kpirl_mpc_eigenvalue(multipliers, &with, m, KPIRL_MPC_HIGHEST, vector, basis) - DEPENDENCE;
+  return value > 0 ? kpirl_mpc_root(value) : value == value ? 0 : value;
+}
+
+/* ---- few rows ------------------------------------------------------------------------------------------------- */
+
+/* Where few active rows are no bounds of decisions: in units, of length one, active rows are
+ *
+ *     (E; V),  V = (V_b, V_o),    where E picks the decisions b that are at a bound, and o are the others,
+ *
+ * and their products with each other, and delta = DEPENDENCE, a small Schur complement away from the identity:
+ *
+ *     (I + delta,  V_b';  V_b,  V V' + delta),    S = V_o V_o' + delta / (1 + delta) V_b V_b' + delta. */
+enum { FEW = KPIRL_MPC_FEW };
+
+/* The number of the decision that a row bounds; -1 of other rows. */
+static int decision_of(const kpirl_mpc_system *s, int row) {
+  const int n_s = s->n_states, n_x = n_s + s->n_actions;
+  int j, entry;
+  if (row >= s->n_bounds) return -1;
+  entry = s->entries[row];
+  for (j = 0; j < s->n_free; ++j)
+    if (s->free[j] == entry) return j;
+  if (entry >= s->horizon * n_x || entry % n_x < n_s) return -1;
+  return s->n_free + entry / n_x * s->n_actions + entry % n_x - n_s;
+}
+
+int kpirl_mpc_system_other_rows(const kpirl_mpc_system *s) {
+  int i, count = 0;
+  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) count += s->active[i] != 0 && decision_of(s, i) < 0;
+  return count;
+}
+
+/* A row times Z R^{-1}, over its length: how decisions, in their units, move it. m, forces: (n_w) and (m) numbers. */
+static void moved_by_decisions(const kpirl_mpc_system *s, int row, real *m, real *forces, real *by) {
+  const int n_s = s->n_states, n_x = n_s + s->n_actions;
+  int t = s->horizon, i;
+  memset(m, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  if (row < s->n_bounds) {
+    t = s->entries[row] / n_x;
+    m[s->entries[row]] = s->signs[row] / s->lengths[row];
+  } else {
+    memset(forces, 0, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
+    forces[row] = 1 / s->lengths[row];
+    kpirl_mpc_rows_push(s, forces, m);
+  }
+  while (t-- > 0)
+    kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, m + (t + 1) * n_x, m + t * n_x);
+  for (i = 0; i < s->n_decisions; ++i) by[i] = m[s->decisions[i]] / s->roots[i];
+}
+
+/* V' by columns (n, count); held: 1 for decisions at a bound; S^{-1} = W' W. */
+typedef struct few_rows {
+  int n, count;
+  real *V, *held, *weighted;
+  real W[FEW * FEW], pivots[FEW];
+} few_rows;
+
+static void factor(few_rows *with) {
+  const int n = with->n, count = with->count;
+  real S[FEW * FEW];
+  int i, j, k;
+  for (i = 0; i < count; ++i) {
+    const real *row = with->V + (size_t)i * n;
+    for (k = 0; k < n; ++k) with->weighted[k] = with->held[k] > 0 ? DEPENDENCE / (1 + DEPENDENCE) * row[k] : row[k];
+    for (j = 0; j <= i; ++j)
+      S[i + j * count] = kpirl_mpc_dot(with->weighted, with->V + (size_t)j * n, n) + (i == j ? DEPENDENCE : 0);
+  }
+  kpirl_mpc_inverse_root(S, count, with->W, with->pivots);
+}
+
+/* The inverse of the products with delta: of a for decisions at a bound, zero for others, and b for the other rows. */
+static void inverse(const void *self, const real *v, real *product) {
+  const few_rows *with = (const few_rows *)self;
+  const int n = with->n, count = with->count;
+  const real *b = v + n;
+  real *z = product, *y = product + n, half[FEW] = {0};
+  int i, k;
+  for (i = 0; i < count; ++i) y[i] = b[i] - kpirl_mpc_dot(with->V + (size_t)i * n, v, n) / (1 + DEPENDENCE);
+  kpirl_mpc_times_vector(with->W, count, count, y, half);
+  memset(y, 0, (size_t)count * sizeof(real));
+  kpirl_mpc_transposed_times_vector(with->W, count, count, half, y);
+  memset(z, 0, (size_t)n * sizeof(real));
+  kpirl_mpc_times_vector(with->V, n, count, y, z);
+  for (k = 0; k < n; ++k) z[k] = with->held[k] * (v[k] - z[k]) / (1 + DEPENDENCE);
+}
+
+real kpirl_mpc_system_few_rows(const kpirl_mpc_system *s, const real *start) {
+  const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s), n = s->n_decisions;
+  real *work = s->scratch + kpirl_mpc_system_inner_scratch(s), *vector = work + n_w + m, *basis, value;
+  few_rows with;
+  int i;
+  with.n = n;
+  with.count = 0;
+  with.held = vector + n + FEW;
+  with.weighted = with.held + n;
+  with.V = with.weighted + n;
+  memset(with.held, 0, (size_t)n * sizeof(real));
+  memset(vector, 0, (size_t)n * sizeof(real));
+  for (i = 0; i < m; ++i) {
+    const int decision = decision_of(s, i);
+    if (s->active[i] == 0) continue;
+    vector[decision < 0 ? n + with.count : decision] = start[i];
+    if (decision < 0)
+      moved_by_decisions(s, i, work, work + n_w, with.V + (size_t)n * with.count++);
+    else if (with.held[decision]++ > 0)
+      return 0; /* the same row twice */
+  }
+  if (with.count == 0) return 1;
+  factor(&with);
+  basis = with.V + (size_t)n * with.count;
+  value = 1 / kpirl_mpc_eigenvalue(inverse, &with, n + with.count, KPIRL_MPC_HIGHEST, vector, basis) - DEPENDENCE;
   return value > 0 ? kpirl_mpc_root(value) : value == value ? 0 : value;
 }

@@ -45,23 +45,11 @@ static void find_lowest(kpirl_mpc_kkt *k, int n_active) {
     memset(k->softest, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
 }
 
-/* Is every active row a bound of a decision, so that no two are alike? */
-static int only_bounds_of_decisions(const kpirl_mpc_system *s) {
-  const int n_s = s->n_states, n_x = n_s + s->n_actions, m = kpirl_mpc_system_n_rows(s);
-  int i, j;
-  for (i = 0; i < m; ++i) {
-    int found = s->active[i] == 0 || (i < s->n_bounds && s->entries[i] < s->horizon * n_x && s->entries[i] % n_x >= n_s);
-    for (j = 0; !found && i < s->n_bounds && j < s->n_free; ++j) found = s->entries[i] == s->free[j];
-    if (!found) return 0;
-  }
-  return 1;
-}
-
 static real find_qualification(kpirl_mpc_kkt *k, int n_active) {
   kpirl_mpc_system other = k->system;
   if (!n_active) return (real)INFINITY;
   if (k->immovable || n_active > k->system.n_decisions) return 0;
-  if (only_bounds_of_decisions(&k->system)) return 1;
+  if (kpirl_mpc_system_other_rows(&k->system) <= KPIRL_MPC_FEW) return kpirl_mpc_system_few_rows(&k->system, k->rows->normal);
   other.factors = k->spare;
   return kpirl_mpc_system_qualification(&other, k->rows->normal);
 }

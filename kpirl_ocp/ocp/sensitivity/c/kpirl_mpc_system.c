@@ -31,7 +31,8 @@ real *kpirl_mpc_place_triple(const kpirl_mpc_system *s, real *memory, kpirl_mpc_
 
 int kpirl_mpc_system_scratch(const kpirl_mpc_system *s) {
   const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s), widest = n_w > m ? n_w : m;
-  return kpirl_mpc_system_inner_scratch(s) + 3 * kpirl_mpc_system_n_triple(s) + 6 * n_w + (KPIRL_MPC_PRODUCTS + 2) * widest;
+  return kpirl_mpc_system_inner_scratch(s) + 3 * kpirl_mpc_system_n_triple(s) + (6 + KPIRL_MPC_FEW) * n_w +
+         (KPIRL_MPC_PRODUCTS + 2) * widest;
 }
 
 /* ---- products ----------------------------------------------------------------------------------------------- */

@@ -104,10 +104,17 @@ real kpirl_mpc_point_norm(const kpirl_mpc_system *system, const real *x);
  * vector of length one as x (n_w). */
 real kpirl_mpc_system_softest(const kpirl_mpc_system *system, int negative, const real *start, real *direction);
 
-/* The smallest singular value of the active rows, scaled to length one. start: (m) random numbers. Overwrites the factors. */
+/* The smallest singular value of the active rows, scaled to length one. start: (m) random numbers. Overwrites the factors. The
+ * same without factors, where at most KPIRL_MPC_FEW active rows are no bounds of decisions; and how many are not. */
+enum { KPIRL_MPC_FEW = 32 };
 real kpirl_mpc_system_qualification(kpirl_mpc_system *system, const real *start);
+real kpirl_mpc_system_few_rows(const kpirl_mpc_system *system, const real *start);
+int kpirl_mpc_system_other_rows(const kpirl_mpc_system *system);
 
 /* ---- parts ---- */
+
+/* Those of the active rows; returns whether no decision moves some of them, whose length is 1. */
+int kpirl_mpc_find_lengths(kpirl_mpc_system *system);
 
 int kpirl_mpc_system_inner_scratch(const kpirl_mpc_system *system); /* that products and factors take, at the front */
 /* kpirl_mpc_system_balance, and the values (m) of the rows */
