@@ -2,7 +2,8 @@
 
 From frame to frame its points are followed by optical flow, and the pose is the similarity that most of them agree on;
 so points that are lost or hidden are restored by the others. A pose counts only if enough points also look as they
-should. What looks the same is followed, too, and where the ways do not tell which of them is the object, it does not
+should. What comes in front of it was seen beside it before; where that is, points are not the object's, and do not
+vote. What looks the same is followed, too, and where the ways do not tell which of them is the object, it does not
 count as found from then on. An object that is lost is found again with the flow from earlier frames, or with its
 picture in the neighbourhood; where several places look alike, none is believed. Until then it is where its outline is,
 if that is clear, and else where it was; no point counts as found.
@@ -18,6 +19,7 @@ import numpy as np
 
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.tracking.appearance import Greys, Memory, Views
+from kpirl_ocp.perception.tracking.identity.intruders import Intruders
 from kpirl_ocp.perception.tracking.identity.lookalikes import Lookalikes, candidates
 from kpirl_ocp.perception.tracking.identity.twins import Thing, Twins
 from kpirl_ocp.perception.tracking.model import ObjectModel
@@ -91,7 +93,7 @@ class _Tracker:
 
     first: the first frame. before: the last one and the pose in it. sure, recent: frames to find the object again from.
     motion: (3, 3) pose by pose. lost: frames since it was last found. likes: the things that have its colours, itself
-    among them. twins: those that look the same in its points.
+    among them. twins: those that look the same in its points. intruders: what comes in front of it.
     """
 
     model: ObjectModel
@@ -102,13 +104,15 @@ class _Tracker:
     recent: Memory
     motion: Array
     twins: Twins
+    intruders: Intruders
     lost: int = 0
 
     @classmethod
     def start(cls, views: Views, mask: Mask) -> _Tracker:
         first = Memory(views, np.eye(3))
         likes = Lookalikes.of(first, mask)
-        return cls(ObjectModel.of(views, mask), likes, first, first, first, first, np.eye(3), Twins.of(mask))
+        model, intruders = ObjectModel.of(views, mask), Intruders.of(views, mask)
+        return cls(model, likes, first, first, first, first, np.eye(3), Twins.of(mask), intruders)
 
     def located(self, time: float, found: Mask) -> Located:
         pose, model = self.before.pose, self.model
@@ -118,6 +122,7 @@ class _Tracker:
     def step(self, views: Views) -> Mask:
         """Find the object in the next frame; gives which of its points were found (n,)."""
         pose = self.before.pose
+        self.intruders.follow(views)
         match = self._onward(views) if not self.lost else None
         match = self._anchored(views, match) if match else self._again(views)
         match = self._told_apart(views, match)
@@ -130,6 +135,7 @@ class _Tracker:
         self._meet(views, match, others)
         self.motion = np.eye(3) if self.lost else match.pose @ np.linalg.inv(pose)
         self.lost, self.before = 0, Memory(views, match.pose)
+        self.intruders.begin(views, match.pose)
         return np.zeros_like(match.found) if self.twins.confused else self._learn(match)
 
     def _told_apart(self, views: Views, match: _Match | None) -> _Match | None:
@@ -220,7 +226,7 @@ class _Tracker:
     ) -> _Match | None:
         """The pose to which flow from an earlier image leads, if enough points agree and look right.
 
-        without: poses (3, 3) of other things, whose points are theirs.
+        without: poses (3, 3) of other things, whose points are theirs, as those of intruders are.
         """
         model, shape = self.model, views.sharp.shape
         chosen = np.flatnonzero(model.in_view(pose_before, shape))
@@ -229,6 +235,7 @@ class _Tracker:
         places, held = follow(before[level], views.grey[level], start, end, _WINDOWS[level], _GAPS[level])
         for pose in without:
             held &= np.linalg.norm(transform(pose, points) - places, axis=1) > 2 * _TOLERANCES[level]
+        held &= ~self.intruders.hide(guess, places)
         agreed = fit(points[held], places[held], _TOLERANCES[level])
         if agreed is None or not 1 / _GROWTH < scale(agreed[0]) / scale(self.before.pose) < _GROWTH:
             return None
