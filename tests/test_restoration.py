@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from reference import REFERENCES
 from test_random_problems import random_case
 from test_random_statements import Drawing
 
@@ -114,3 +115,22 @@ def test_no_unit_of_a_constraint_makes_a_feasible_problem_infeasible(unit, unit_
     for s0 in ([0, 0.1, 0, 0], [0, -0.5, 0, 0], [0.2, 0.3, 0, 0], [-0.5, -0.1, 2, 0]):
         found = Riccati().solve(problem, s0)
         assert found.status in (Status.CONVERGED, Status.ACCEPTABLE), (s0, found)
+
+
+def test_infeasible_is_not_said_before_steps_along_the_dynamics_say_so_too():
+    """Lifted steps lead to a stationary violation from this guess of a reaching arm, though Ipopt finds a plan.
+
+    A minimum of the same problem is the right value: the conditions hold there, and it costs no more than Ipopt's.
+    """
+    (reference,) = (one for one in REFERENCES if one.name == "2R arm, reaching")
+    case = reference.build(reference.steps)
+    plan = Ipopt().solve(case.problem, case.s0, case.psi).raise_if_failed()
+    sizes, rng = [np.abs(part).max(axis=0) for part in (plan.states, plan.actions)], np.random.default_rng(25)
+    s0 = case.s0 + 0.1 * sizes[0] * rng.normal(size=len(case.s0))
+    still = np.tile(case.s0, (len(plan.states), 1)), np.zeros_like(plan.actions)
+    parts = zip(still, sizes, strict=True)
+    guess = Trajectory(*(part + 0.1 * size * rng.normal(size=part.shape) for part, size in parts))
+    found, peer = (solver.solve(case.problem, s0, case.psi, guess=guess) for solver in (Riccati(), Ipopt()))
+    residuals = audit(case.problem, case.psi, np.zeros(0), found, found.multipliers)
+    assert max(residuals.stationarity, residuals.feasibility, residuals.complementarity) <= 1e-8
+    assert found.objective <= peer.raise_if_failed().objective + 1e-6

@@ -225,7 +225,8 @@ static kpirl_mpc_status follow_dynamics(kpirl_mpc_core *core, const kpirl_mpc_st
 
 /* With lifted steps; where they get stuck, once more with costates; then with steps along the dynamics: from there if there was a
  * step, which led nowhere, then from the guess, and then from where its actions lead. A warm start that gets stuck begins again
- * first, cold, from its trajectory. */
+ * first, cold, from its trajectory. A point that is stationary for the violation shows nothing of other places: where lifted steps
+ * lead to one, steps along the dynamics from the guess have the last word. */
 static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   int warm = start->costates != NULL;
   kpirl_mpc_start rolled;
@@ -239,8 +240,11 @@ static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start)
     begin(core, start, LIGHT);
   }
   status = converge_restoring(core);
-  if (!given_up(core, status)) return status;
-  status = follow_costates(core, start);
+  if (given_up(core, status)) status = follow_costates(core, start);
+  if (status == KPIRL_MPC_INFEASIBLE) {
+    core->lifted = 0;
+    return follow_dynamics(core, start);
+  }
   if (!given_up(core, status)) return status;
   core->lifted = 0;
   if (status == KPIRL_MPC_STALLED && core->step.positive) {
