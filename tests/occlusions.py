@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import cv2
 import numpy as np
 from films import HEIGHT, WIDTH, paste, pose, texture
 from shuffles import Shuffle, look, padded, way
-
-from kpirl_ocp.perception.data.encoding import write_video
-from kpirl_ocp.perception.data.video import iterate_frames
 
 MIDDLE = HEIGHT / 2
 
@@ -56,10 +50,12 @@ def pasted(image, picture, middle):
 
 
 def compressed(frames):
-    """Frames as they come back from a H.264 film."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = write_video(Path(folder) / "film.mp4", [image for _, image in frames], rate=30, codec="h264")
-        return list(iterate_frames(path))
+    """Frames as they come back from Motion JPEG; two encodings of a film with x264 are not the same to the last bit."""
+    return [(time, decoded(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 70])[1])) for time, image in frames]
+
+
+def decoded(picture):
+    return cv2.imdecode(picture, cv2.IMREAD_COLOR)
 
 
 def thing_and_blur(rng):

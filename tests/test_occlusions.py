@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("av")
 pytest.importorskip("cv2")
 from films import HEIGHT, WALL, WIDTH, paste, pose, texture
 from occlusions import APART, OCCLUSIONS, lookalike
@@ -17,14 +16,14 @@ from kpirl_ocp.perception.tracking.identity.intruders import Intruders
 HELD_OUT = 300  # the tracker was developed on the films of smaller seeds
 
 
-UNSOLVED = pytest.mark.xfail(reason="a thing of the same colours is still followed in some films", strict=False)
+UNSOLVED = pytest.mark.xfail(reason="a thing of the same colours is still followed for a while", strict=True)
 KINDS = [pytest.param(make, marks=[UNSOLVED] * (make is lookalike), id=make.__name__) for make in OCCLUSIONS]
 
 
 @pytest.mark.parametrize("make", KINDS)
 def test_what_hides_a_thing_is_never_followed_in_its_place(make):
     tracks, errors = followed(make(HELD_OUT))
-    assert refusal(tracks) is not None or errors.max() < SIDE / 2
+    assert refusal(tracks) is not None or errors.max() < SIDE / 4
 
 
 @pytest.mark.parametrize("make", APART, ids=lambda make: make.__name__)
