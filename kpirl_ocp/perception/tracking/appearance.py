@@ -51,7 +51,7 @@ class Views(NamedTuple):
 
     def patches(self, points: Array, pose: Array) -> tuple[Array, Array]:
         """Grey values around points (n, 2), turned and scaled with the object: (n, m) sharp and (n, m) smooth."""
-        sharp, smooth = (_sample(view, points, pose, r) for view, r in zip(self.grey, RADII, strict=True))
+        sharp, smooth = (sample(view, points, pose, r) for view, r in zip(self.grey, RADII, strict=True))
         return sharp, smooth
 
 
@@ -66,7 +66,8 @@ class Memory(NamedTuple):
         return self.views.turned(pose @ np.linalg.inv(self.pose))
 
 
-def _sample(view: NDArray[np.uint8], points: Array, pose: Array, radius: int) -> Array:
+def sample(view: NDArray[np.uint8], points: Array, pose: Array, radius: int) -> Array:
+    """Values (n, m) of a view (H, W) on grids around points (n, 2), turned and scaled by a pose (3, 3)."""
     axis = np.linspace(-radius, radius, _ACROSS)
     grid = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2) @ pose[:2, :2].T
     places = (points[:, None] + grid).astype(np.float32)

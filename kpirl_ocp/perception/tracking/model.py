@@ -20,7 +20,7 @@ from kpirl_ocp.types import Array, Mask
 _POINTS = 200
 _LIKE = 0.6  # correlation from which a point looks as it should
 _RENEWAL = 0.1  # weight of the newest look in the memory
-_SPACING = 4  # between corners [pixels]
+SPACING = 4  # between corners [pixels]
 _EDGE = 3.0  # points nearer to the image's edge are out of view [pixels]
 _FEWEST = 8
 
@@ -40,7 +40,7 @@ class ObjectModel:
     @classmethod
     def of(cls, views: Views, mask: Mask) -> ObjectModel:
         """The corners on a mask in the first frame. Raises DemonstrationError if there is too little to hold on to."""
-        points = _corners(views.sharp, mask, _POINTS)
+        points = corners(views.sharp, mask, _POINTS)
         if len(points) < _FEWEST:
             raise DemonstrationError(
                 f"the object shows {len(points)} corners where at least {_FEWEST} are needed: mark a larger part of "
@@ -73,8 +73,8 @@ class ObjectModel:
         height, width = views.sharp.shape
         free = cv2.warpAffine(self.mask.astype(np.uint8), pose[:2], (width, height))
         for x, y in transform(pose, self.points[alike]).astype(int).tolist():
-            cv2.circle(free, (x, y), _SPACING + 1, 0, -1)
-        new = _corners(views.sharp, free > 0, _POINTS // 5)
+            cv2.circle(free, (x, y), SPACING + 1, 0, -1)
+        new = corners(views.sharp, free > 0, _POINTS // 5)
         keep = np.sort(np.argsort(~alike, kind="stable")[: _POINTS - len(new)])
         looks = views.patches(new, pose)
         self.points = np.vstack([self.points[keep], transform(np.asarray(np.linalg.inv(pose), float), new)])
@@ -83,7 +83,7 @@ class ObjectModel:
         return np.append(found[keep], np.ones(len(new), bool))
 
 
-def _corners(grey: NDArray[np.uint8], mask: Mask, count: int) -> Array:
+def corners(grey: NDArray[np.uint8], mask: Mask, count: int) -> Array:
     """At most `count` corners (n, 2) on a mask (Shi and Tomasi, 1994), best first."""
-    found = cv2.goodFeaturesToTrack(grey, count, 0.005, _SPACING, mask=mask.astype(np.uint8), blockSize=5)
+    found = cv2.goodFeaturesToTrack(grey, count, 0.005, SPACING, mask=mask.astype(np.uint8), blockSize=5)
     return np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(float)

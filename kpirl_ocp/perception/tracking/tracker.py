@@ -135,7 +135,7 @@ class _Tracker:
         self._meet(views, match, others)
         self.motion = np.eye(3) if self.lost else match.pose @ np.linalg.inv(pose)
         self.lost, self.before = 0, Memory(views, match.pose)
-        self.intruders.begin(views, match.pose)
+        self.intruders.judge(match.pose)
         return np.zeros_like(match.found) if self.twins.confused else self._learn(match)
 
     def _told_apart(self, views: Views, match: _Match | None) -> _Match | None:
@@ -159,14 +159,14 @@ class _Tracker:
         """A twin, from the frame before if it was seen there, else as the object was seen."""
         match: _Match | None = None
         if not twin.unseen:
-            match = self._match(views, self.before.views.grey, twin.pose, twin.ahead, 0, without)
-        return match or self._match(views, self.sure.at(twin.ahead), twin.ahead, twin.ahead, 0, without)
+            match = self._match(views, self.before.views.grey, twin.pose, twin.ahead, 0, without, own=False)
+        return match or self._match(views, self.sure.at(twin.ahead), twin.ahead, twin.ahead, 0, without, own=False)
 
     def _meet(self, views: Views, match: _Match, places: Array) -> None:
         """Take up twins at places (m, 2): things that look like the object in its points, too."""
         for offset in self.twins.unknown(match.pose, places):
             guess = shifted(match.pose, offset)
-            found = self._match(views, self.sure.at(guess), guess, guess, 0, [match.pose])
+            found = self._match(views, self.sure.at(guess), guess, guess, 0, [match.pose], own=False)
             if (
                 found
                 and not self.twins.same(found.pose, match.pose)
@@ -223,10 +223,13 @@ class _Tracker:
         guess: Array,
         level: int,
         without: Sequence[Array] = (),
+        *,
+        own: bool = True,
     ) -> _Match | None:
         """The pose to which flow from an earlier image leads, if enough points agree and look right.
 
-        without: poses (3, 3) of other things, whose points are theirs, as those of intruders are.
+        without: poses (3, 3) of other things, whose points are theirs.
+        own: what intruders hide is not the object's; a twin may be one of them.
         """
         model, shape = self.model, views.sharp.shape
         chosen = np.flatnonzero(model.in_view(pose_before, shape))
@@ -235,7 +238,8 @@ class _Tracker:
         places, held = follow(before[level], views.grey[level], start, end, _WINDOWS[level], _GAPS[level])
         for pose in without:
             held &= np.linalg.norm(transform(pose, points) - places, axis=1) > 2 * _TOLERANCES[level]
-        held &= ~self.intruders.hide(guess, places)
+        if own:
+            held &= ~self.intruders.hide(places)
         agreed = fit(points[held], places[held], _TOLERANCES[level])
         if agreed is None or not 1 / _GROWTH < scale(agreed[0]) / scale(self.before.pose) < _GROWTH:
             return None
