@@ -21,6 +21,7 @@ PRINTED = {  # closed forms, or what the data were made with
     "torch_layer.py": r"error of the actions [0-9.]+e-03, of the targets 0\.0",
     "own_network.py": r"CONVERGED; torch goes the same way but for \de-0[89]",
     "learning.py": r"ratio of the weights 8\.000, in truth 8\.000; loss 0\.9282 -> [\d.]+e-(1[2-9]|2\d)",
+    "moving_reference.py": r"off the target by \de-1\d m",
     "soft.py": r"price 10\.0: highest position 0\.5000",
 }
 
