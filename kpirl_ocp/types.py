@@ -119,7 +119,7 @@ class Status(Enum):
     INFEASIBLE = "no feasible point was found nearby. Relax the bounds or path constraints, or pass another guess."
     STALLED = "no further progress was possible. Rescale the problem, smooth its kinks, or pass another guess."
     DIVERGED = "the iterates diverged, or left the domain of a function. Use a smaller step size, or add effort weight."
-    NOT_FINITE = "a function returned NaN or infinity. Check dynamics and costs at the guess, and their parameters."
+    NOT_FINITE = "a function returned NaN or infinity. Check s0, psi, context, the guess, and dynamics and costs there."
     FAILED = "the solver gave up; its own message says why."
     NOT_A_MINIMUM = (
         "a stationary point that is no minimum: the Hessian is not positive there, and no way led down from it. "
