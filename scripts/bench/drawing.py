@@ -122,7 +122,7 @@ def _ceilings(axis: Axes, numbers: Numbers) -> None:
     axis.barh(list(achieved), list(achieved.values()), color=figures.COLOURS[0])
     for colour, (name, value) in zip(figures.COLOURS[1:], numbers["ceilings_gflop_per_s"].items(), strict=False):
         axis.axvline(value, color=colour, label=f"{name} ceiling")
-    axis.set(xlabel="GFLOP/s in products", title="unrolled gradient: weights, demonstrations")
+    axis.set(xlabel="GFLOP/s in products", title="unrolled: weights, demonstrations")
     axis.invert_yaxis()
     axis.set_xlim(right=1.05 * max(numbers["ceilings_gflop_per_s"].values()))
     axis.legend(fontsize=8, loc="lower center")
