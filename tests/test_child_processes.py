@@ -65,6 +65,7 @@ def test_what_was_ignored_before_is_not_heard():
     try:
         with deaf_children():
             os.kill(os.getpid(), signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, before)
 
