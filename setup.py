@@ -15,7 +15,7 @@ from setuptools.command.build_ext import build_ext
 from setuptools.errors import CompileError
 
 # No -ffast-math: NaN must stay NaN, so that it can be detected, and sums keep their order.
-# -fno-wrapv takes back a flag of many Pythons, which makes loops over matrices twice as long.
+# -fno-wrapv takes back a flag of many Pythons: indices that may wrap around lengthen every loop over a matrix.
 FLAGS = ["-std=c99", "-O3", "-fno-math-errno", "-fno-trapping-math", "-fno-wrapv", "-ffp-contract=fast"]
 CORE = "kpirl_ocp.ocp.interior_point._core"
 METHOD = "kpirl_ocp/ocp/interior_point/c"
