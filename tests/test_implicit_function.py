@@ -1,22 +1,20 @@
 """Derivatives of solutions by psi, s_0 and the context: against one dense KKT matrix, and against each other."""
 
-import ctypes
 from dataclasses import replace
 from functools import lru_cache
 
 import casadi as ca
+import kkt_in_c
 import numpy as np
 import pytest
 from dense_kkt import derivative, unknowns
 from problems import TABLE, network, swing_up
 
 from kpirl_ocp import OCP, Ipopt, Riccati
-from kpirl_ocp.ocp.interior_point import library as c
-from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
-from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, Triple, linearise
+from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, linearise
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 
 CASES = TABLE | {
@@ -171,17 +169,11 @@ def test_change_of_the_adjoint_nearby_is_that_between_two_linearisations(name, b
         point.forces * (1 + 1e-4 * rng.normal(size=point.forces.shape)),
     )
     there = linearise(system.instance, nearby, system.active)
-    found = function.factors.change_nearby(there, slope, adjoint)
+    found = kkt_in_c.change_nearby(system, there, slope, adjoint)
     moved, _ = Factorisation(linearise(system.instance, nearby, system.active)).adjoint(slope)
     decisions = system.instance.rows.decisions
     one, other = (system.roots * part.x[decisions] for part in (moved, adjoint))
     np.testing.assert_allclose(found, np.linalg.norm(one - other) / np.linalg.norm(other), rtol=1e-2, atol=1e-8)
-
-
-def in_one_piece(point):
-    """A point whose arrays are one after the other in memory."""
-    parts = point.x, point.costates, point.forces
-    return PrimalDual(*np.split(np.concatenate(parts), np.cumsum([len(part) for part in parts])[:-1]))
 
 
 @pytest.mark.parametrize("name", ["swing-up, 45 steps", "iiwa at a limit", "tanh network"])
@@ -189,21 +181,16 @@ def test_differences_of_first_derivatives_show_the_residual_of_the_adjoint_nearb
     _, _, function, _ = solved(name)
     system, rng = function.system, np.random.default_rng(5)
     slope, given_start = rng.normal(size=len(system.point.x)), len(system.instance.s0)
-    adjoint = in_one_piece(function.factors.adjoint(slope)[0])
+    adjoint, _ = function.factors.adjoint(slope)
     move = 1e-7 * rng.normal(size=slope.shape) * (np.arange(len(slope)) >= given_start)
     costates = system.point.costates * (1 + 1e-5 * rng.normal(size=system.point.costates.shape))
     there = linearise(system.instance, replace(system.point, x=system.point.x + move, costates=costates), system.active)
-    given, found = Triple(adjoint), Triple(in_one_piece(adjoint))
-    library = c.library()
-    library.kpirl_mpc_kink_nearby.restype = ctypes.c_double
-    with borrow_core(system.instance.problem) as core:
-        addresses = [system.address, there.address, core.address, given.address, found.address]
-        kink = library.kpirl_mpc_kink_nearby(*map(ctypes.c_void_p, addresses))
-    expected = (slope - there.balance(adjoint))[given_start:]
+    kink, residual = kkt_in_c.kink_nearby(system, there, adjoint)
+    expected = (slope - kkt_in_c.balance(there, adjoint))[given_start:]
     assert kink < 1e-3
     assert np.abs(expected).max() > 1e-6
-    np.testing.assert_allclose(found.point.x[given_start:], expected, rtol=0, atol=3e-7)
-    np.testing.assert_allclose(found.point.costates, -there.defects_along(adjoint.x), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(residual.x[given_start:], expected, rtol=0, atol=3e-7)
+    np.testing.assert_allclose(residual.costates, -kkt_in_c.defects_along(there, adjoint.x), rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", ["swing-up, 45 steps", "tanh network"])
@@ -212,7 +199,7 @@ def test_adjoint_is_not_found_where_these_factors_are_of_no_use(name):
     system, slope = function.system, np.ones(len(function.system.point.x))
     far = replace(system.point, costates=system.point.costates * -1e4)  # another Hessian
     there = linearise(system.instance, far, system.active)
-    assert function.factors.change_nearby(there, slope, function.factors.adjoint(slope)[0]) == np.inf
+    assert kkt_in_c.change_nearby(system, there, slope, function.factors.adjoint(slope)[0]) == np.inf
 
 
 @pytest.mark.parametrize("name", ["integrator", "tanh network", "iiwa at a limit"])
@@ -223,7 +210,7 @@ def test_the_newton_step_from_a_perturbed_solution_leads_back_to_it(name):
         system.point, costates=system.point.costates * (1 + 1e-5 * rng.normal(size=system.point.costates.shape))
     )
     there = linearise(system.instance, moved, system.active)
-    step = Factorisation(there).newton_step()
+    step = kkt_in_c.newton_step(Factorisation(there).system)
     scale = np.abs(system.point.costates).max()
     np.testing.assert_allclose(moved.costates + step.costates, system.point.costates, rtol=0, atol=1e-8 * scale)
 

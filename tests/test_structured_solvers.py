@@ -246,7 +246,7 @@ def test_second_derivatives_are_handed_over_where_a_solve_ended_with_them(name):
     np.testing.assert_array_equal(found.actions, Riccati().solve(problem, s0, psi, context).actions)
     instance = Instance(problem, s0, psi, context)
     system, row = KKTSystem(instance), as_row(problem, found)
-    library().kpirl_mpc_kkt_stand(system.address, row.ctypes.data)
+    library().kpirl_mpc_kkt_set_solution(system.address, row.ctypes.data)
     fresh = instance.derivatives(system.point)
     kept = {field.name: np.copy(getattr(derivatives, field.name)) for field in fields(derivatives)}
     for field, one in kept.items():

@@ -161,7 +161,7 @@ KKT = _structure(
     objective=REAL,
     **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "softest"), POINTER),
     spare=Factors,
-    **dict.fromkeys(("origin", "shares", "beside", "matrices", "work"), POINTER),
+    **dict.fromkeys(("origin", "shares", "tangent", "matrices", "work"), POINTER),
     **dict.fromkeys(("lowest", "qualification", "step", "margin", "distance"), REAL),
     **dict.fromkeys(("evaluated", "factored", "immovable", "conditioned", "stepped", "reached", "borrowed"), INT),
 )
@@ -177,17 +177,13 @@ Answers = _structure("Answers", gradients=ByParameters, evidence=POINTER, active
 _OF_SYSTEMS = {
     "rows_times": 3,
     "rows_push": 3,
-    "system_balance": 3,
-    "defects_times": 3,
     "kkt_init": 4,
-    "kkt_stand": 2,
+    "kkt_set_solution": 2,
     "kkt_linearise": 4,
     "kkt_evaluate": 2,
     "kkt_select": 2,
     "kkt_condition": 1,
-    "kkt_step": 1,
     "kkt_solve": 3,
-    "kkt_change": 4,
     "kkt_pull": 4,
     "weigh": 7,
     "certify": 8,
@@ -279,7 +275,7 @@ def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER] * count
     core.kpirl_mpc_certify_each.argtypes = [*[POINTER] * 4, INT, *[POINTER] * 2]
     core.kpirl_mpc_certify_each.restype = None
-    for name in ("kkt_solve", "kkt_change", "kink_in_parameters", "kink_of_loss"):
+    for name in ("kkt_solve", "kink_in_parameters", "kink_of_loss"):
         getattr(core, f"kpirl_mpc_{name}").restype = REAL
     core.kpirl_mpc_kkt_init.restype = ctypes.c_size_t
     core.kpirl_mpc_core_view.argtypes = [POINTER] * 2

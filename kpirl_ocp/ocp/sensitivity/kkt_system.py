@@ -178,7 +178,7 @@ class KKTSystem:
 
         Zero before a certificate has been measured, with a barrier, and for quadratic programs without psi and context.
         """
-        return c.read(self.structure.beside, self.sizes_of_parts[0])
+        return c.read(self.structure.tangent, self.sizes_of_parts[0])
 
     @property
     def roots(self) -> Array:
@@ -208,7 +208,9 @@ class KKTSystem:
 
     def times(self, x: Array) -> Array:
         """The Jacobian of all rows times x, (n_rows,)."""
-        return self._filled("rows_times", self.sizes_of_parts[2], x)
+        values, given = np.empty(self.sizes_of_parts[2]), np.ascontiguousarray(x, float)
+        self._library.kpirl_mpc_rows_times(self.address, given.ctypes.data, values.ctypes.data)
+        return values
 
     def transposed_times(self, forces: Array) -> Array:
         """The transposed Jacobian of all rows times forces, (n_w,)."""
@@ -216,23 +218,8 @@ class KKTSystem:
         self._library.kpirl_mpc_rows_push(self.address, forces.ctypes.data, pushed.ctypes.data)
         return pushed
 
-    def defects_along(self, x: Array) -> Array:
-        """F_t x_t - s_{t+1} (T n_s,)."""
-        return self._filled("defects_times", self.sizes_of_parts[1], x)
-
-    def balance(self, point: PrimalDual) -> Array:
-        """(H + C' sigma C) x + A' lambda + C' mu (n_w,), given entries of s_0 included."""
-        balance, triple = np.empty(self.sizes_of_parts[0]), Triple(point)
-        self._library.kpirl_mpc_system_balance(self.address, triple.address, balance.ctypes.data)
-        return balance
-
     def _of_system(self, name: str, size: int) -> Array:
         return c.read(getattr(self.structure.system, name), size)
-
-    def _filled(self, name: str, size: int, x: Array) -> Array:
-        result, given = np.empty(size), np.ascontiguousarray(x, float)
-        getattr(self._library, f"kpirl_mpc_{name}")(self.address, given.ctypes.data, result.ctypes.data)
-        return result
 
 
 class Triple:

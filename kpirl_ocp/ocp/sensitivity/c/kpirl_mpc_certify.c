@@ -108,7 +108,7 @@ static real slope_left(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl
   there.evaluated = 0;
   work = kpirl_mpc_place_triple(s, work, &there.point);
   for (i = 0; i < kpirl_mpc_system_n_triple(s); ++i) there.point.x[i] = k->point.x[i] + length * tangent->x[i];
-  return (kpirl_mpc_weighted_beside(&there, core, weights, moves, length, values, work) - here) / length;
+  return (kpirl_mpc_moved_weighted_sum(&there, core, weights, moves, length, values, work) - here) / length;
 }
 
 /* The part of its move by which the plan, to first order, differs from the one predicted: the weights may not see it. */
@@ -120,8 +120,8 @@ static real plan_left(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *tangent, c
   return 2 * kpirl_mpc_system_reach(s, residual) / move;
 }
 
-real kpirl_mpc_kink_beside(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
-                           const real *left, const real *at, const real *right, real here, real total, real *work) {
+real kpirl_mpc_kink_along_plan(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
+                               const real *left, const real *at, const real *right, real here, real total, real *work) {
   const real steps[] = {DIFFERENCE, -DIFFERENCE}, terms = cancelling(k, weights);
   kpirl_mpc_kkt with = *k;
   kpirl_mpc_triple of_tangent, tangent;
@@ -132,7 +132,7 @@ real kpirl_mpc_kink_beside(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const k
   memset(tangent.x, 0, (size_t)kpirl_mpc_system_n_triple(&k->system) * sizeof(real));
   tangent_right(&k->system, left, right, &of_tangent);
   kpirl_mpc_kkt_refine(&with, &of_tangent, TANGENT, TANGENT, &tangent);
-  memcpy(k->beside, tangent.x, (size_t)kpirl_mpc_system_n_point(&k->system) * sizeof(real));
+  memcpy(k->tangent, tangent.x, (size_t)kpirl_mpc_system_n_point(&k->system) * sizeof(real));
   for (i = 0; i < 2; ++i) {
     const real far = slope_left(k, core, weights, moves, &tangent, here, steps[i], values, work);
     real whole = kpirl_mpc_worse(kpirl_mpc_worse(total, kpirl_mpc_abs(far)), ROUNDING * terms / DIFFERENCE);
@@ -196,7 +196,7 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
   evidence->qualification = k->qualification;
   evidence->step = evidence->change = evidence->kink = (real)INFINITY;
   evidence->margin = (real)NAN;
-  memset(k->beside, 0, (size_t)n_w * sizeof(real));
+  memset(k->tangent, 0, (size_t)n_w * sizeof(real));
   finite = kpirl_mpc_all_finite(adjoint->x, n_w) && (!direction || kpirl_mpc_all_finite(direction, n_w));
   if (finite) {
     look_around(k, nearby, core, slope, direction, evidence);

@@ -73,8 +73,8 @@ real kpirl_mpc_weighted_sum(const kpirl_mpc_system *s, const kpirl_mpc_triple *w
          kpirl_mpc_dot(forces, rows, n_rows);
 }
 
-real kpirl_mpc_weighted_beside(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
-                              real length, real *values, real *work) {
+real kpirl_mpc_moved_weighted_sum(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
+                                  real length, real *values, real *work) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n_s = s->n_states;
   const int n_psi = k->dimensions.n_parameters, n_context = k->dimensions.n_context;
@@ -163,7 +163,7 @@ real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, 
   const int n_psi = k->dimensions.n_parameters, n_s = k->system.n_states, n_context = k->dimensions.n_context;
   const int n = kpirl_mpc_n_conditions(&k->system);
   real *moves = k->work, *left = moves + n_psi + n_s + n_context, *right = left + n, *at = right + n, *work = at + n;
-  real expected = 0, total = 0, sides[2], sizes, here, noise, whole, off, beside = 0;
+  real expected = 0, total = 0, sides[2], sizes, here, noise, whole, off, along_plan = 0;
   int i;
   if (is_affine(k) || (n_psi + n_context == 0 && !by->s0)) return 0;
   find_moves(k, k->numbers.psi, n_psi, moves);
@@ -175,16 +175,17 @@ real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, 
     expected += slope * moves[i];
     total += kpirl_mpc_abs(slope * moves[i]);
   }
-  sides[0] = kpirl_mpc_weighted_beside(k, core, weights, moves, -DIFFERENCE, left, work);
+  sides[0] = kpirl_mpc_moved_weighted_sum(k, core, weights, moves, -DIFFERENCE, left, work);
   here = weighted_here(k, core, weights, &sizes, at);
-  sides[1] = kpirl_mpc_weighted_beside(k, core, weights, moves, DIFFERENCE, right, work);
+  sides[1] = kpirl_mpc_moved_weighted_sum(k, core, weights, moves, DIFFERENCE, right, work);
   sides[0] = (here - sides[0]) / DIFFERENCE;
   sides[1] = (sides[1] - here) / DIFFERENCE;
   noise = ROUNDING * sizes / DIFFERENCE;
   whole = kpirl_mpc_worse(kpirl_mpc_worse(total, noise), kpirl_mpc_worse(kpirl_mpc_abs(sides[0]), kpirl_mpc_abs(sides[1])));
   off = kpirl_mpc_worse(kpirl_mpc_abs(sides[0] - expected), kpirl_mpc_abs(sides[1] - expected));
-  if (k->factored && !(k->barrier > 0)) beside = kpirl_mpc_kink_beside(k, core, weights, moves, left, at, right, here, total, work);
-  return kpirl_mpc_worse(kpirl_mpc_worse(whole > 0 ? off / whole : 0, beside),
+  if (k->factored && !(k->barrier > 0))
+    along_plan = kpirl_mpc_kink_along_plan(k, core, weights, moves, left, at, right, here, total, work);
+  return kpirl_mpc_worse(kpirl_mpc_worse(whole > 0 ? off / whole : 0, along_plan),
                          slope_jump(k, function, weights, by, moves, whole, work));
 }
 

@@ -91,7 +91,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
   k->shares = take(&from, m);
   k->softest = take(&from, n_w);
   k->origin = take(&from, n_w);
-  k->beside = take(&from, n_w);
+  k->tangent = take(&from, n_w);
   k->matrices = take(&from, n_matrices(s));
   k->work = take(&from, VECTORS * (size_t)kpirl_mpc_system_n_triple(s) + OF_PARAMETERS * n_p);
   return from.used;
@@ -123,7 +123,7 @@ static void take_values(kpirl_mpc_kkt *k, const kpirl_mpc_view *from) {
   k->evaluated = 1;
 }
 
-void kpirl_mpc_kkt_take(kpirl_mpc_kkt *k, const kpirl_mpc_view *derivatives) {
+void kpirl_mpc_kkt_set_derivatives(kpirl_mpc_kkt *k, const kpirl_mpc_view *derivatives) {
   take_values(k, derivatives);
   k->system.F = derivatives->F;
   k->system.G = derivatives->G;
@@ -260,7 +260,7 @@ static void find_bound_forces(kpirl_mpc_kkt *k, const real *net, real *slack) {
   }
 }
 
-void kpirl_mpc_kkt_stand(kpirl_mpc_kkt *k, const real *solution) {
+void kpirl_mpc_kkt_set_solution(kpirl_mpc_kkt *k, const real *solution) {
   const kpirl_mpc_system *s = &k->system;
   const int T = s->horizon, n_states = (T + 1) * s->n_states, n_actions = T * s->n_actions, n_c = T * s->n_states;
   const real *actions = solution + n_states, *costates = actions + n_actions, *of_states = costates + n_c;
@@ -275,9 +275,9 @@ void kpirl_mpc_kkt_stand(kpirl_mpc_kkt *k, const real *solution) {
 }
 
 int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *solution, const kpirl_mpc_view *derivatives) {
-  kpirl_mpc_kkt_stand(k, solution);
+  kpirl_mpc_kkt_set_solution(k, solution);
   if (derivatives)
-    kpirl_mpc_kkt_take(k, derivatives);
+    kpirl_mpc_kkt_set_derivatives(k, derivatives);
   else
     kpirl_mpc_kkt_evaluate(k, core);
   k->distance = 0;

@@ -69,7 +69,7 @@ typedef struct kpirl_mpc_kkt {
   kpirl_mpc_factors spare;    /* of another matrix */
   real *origin;               /* (n_w) x before it was polished */
   real *shares;               /* (m) kpirl_mpc_force_shares */
-  real *beside;               /* (n_w) of x, where the parameters move as in kpirl_mpc_kink_in_parameters; zero until it is known */
+  real *tangent;              /* (n_w) change of x as parameters move in kpirl_mpc_kink_in_parameters; zero until it is known */
   real *matrices, *work;
   real lowest, qualification; /* that eigenvalue; the smallest singular value of the active rows */
   real step, margin;          /* kpirl_mpc_kkt_step, kpirl_mpc_kkt_reach */
@@ -100,14 +100,15 @@ real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *kkt, const real *slack, int r
 size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *kkt, const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, real *memory);
 
 /* A solution as kkt->point: S (T+1, n_s), U (T, n_u), and the multipliers of the dynamics (T, n_s), of the bounds of S and U, positive
- * at an upper and negative at a lower one, of h, h_T, e and e_T, row by row, one behind the other. Of two sides of a bound the force is on the one that pushes; with a barrier both push, and only their
- * difference is known: the further one pushes with tau / slack, the nearer one with the rest. */
-void kpirl_mpc_kkt_stand(kpirl_mpc_kkt *kkt, const real *solution);
+ * at an upper and negative at a lower one, of h, h_T, e and e_T, row by row, one array after the other. Of the two sides of a
+ * bound, the force is on the one that pushes; with a barrier both push, and only their difference is known: the further one
+ * pushes with tau / slack, the nearer one with the rest. */
+void kpirl_mpc_kkt_set_solution(kpirl_mpc_kkt *kkt, const real *solution);
 
-/* Derivatives at kkt->point: from a core; or take over those that are known, whose matrices must stay. path: h and h_T; equality:
+/* Derivatives at kkt->point: evaluated by a core; or set to known ones, whose matrices must stay. path: h and h_T; equality:
  * e and e_T. */
 void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core);
-void kpirl_mpc_kkt_take(kpirl_mpc_kkt *kkt, const kpirl_mpc_view *derivatives);
+void kpirl_mpc_kkt_set_derivatives(kpirl_mpc_kkt *kkt, const kpirl_mpc_view *derivatives);
 
 /* Sizes, stiffness of smoothed rows, active rows (where `active` is NULL those that the point suggests), forces and roots. Returns
  * whether all is finite. */
@@ -171,18 +172,18 @@ real kpirl_mpc_kink_nearby(const kpirl_mpc_kkt *kkt, const kpirl_mpc_kkt *nearby
 real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
                                   const kpirl_mpc_triple *weights, const kpirl_mpc_by_parameters *by);
 
-/* The sum of weights times conditions, and of the absolute values, `sizes`; and the former where psi, s_0 and the context are moved,
- * with the conditions there. */
+/* The sum of weights times conditions, and that of their absolute values, `sizes`; and the former where psi, s_0 and the context
+ * have moved by `length` times `moves`, with the conditions there, `values`. */
 real kpirl_mpc_weighted_sum(const kpirl_mpc_system *system, const kpirl_mpc_triple *weights, const real *values, real *sizes);
-real kpirl_mpc_weighted_beside(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
-                               real length, real *values, real *work);
+real kpirl_mpc_moved_weighted_sum(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
+                                  real length, real *values, real *work);
 
 /* How far the slopes of the weighted conditions are from zero, relative to `total`, to both sides along the plan that derivatives
  * predict where the parameters move; what is proportional to the step is curvature. Where the plan itself moves otherwise, by
  * which share. left, at, right: conditions where parameters alone have moved, by -1e-6, 0 and 1e-6 of moves. here: the weighted
  * sum. */
-real kpirl_mpc_kink_beside(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
-                           const real *left, const real *at, const real *right, real here, real total, real *work);
+real kpirl_mpc_kink_along_plan(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
+                               const real *left, const real *at, const real *right, real here, real total, real *work);
 
 /* Derivatives of the weighted conditions by psi and the context at others than those of the point. Returns 0 when all went well. */
 int kpirl_mpc_weigh(const kpirl_mpc_kkt *kkt, const kpirl_mpc_weighted *function, const kpirl_mpc_triple *weights,
@@ -207,7 +208,7 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, kpirl_mpc_core
                        kpirl_mpc_evidence *evidence);
 
 /* Solutions, each for numbers of its own, and the slopes (n_w) of functions whose gradients are wanted. Arrays hold one row for each;
- * those of solutions as in kpirl_mpc_kkt_stand. s_0 is not read: states begin with it. */
+ * those of solutions as in kpirl_mpc_kkt_set_solution. s_0 is not read: states begin with it. */
 typedef struct kpirl_mpc_questions {
   kpirl_mpc_numbers numbers;
   const real *solutions, *slopes, *barriers;
