@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.statement.expressions import inputs_of, kind_of
 
 _AT_STAGES = ("dynamics", "stage_cost", "path_constraint", "path_equality")
 _AT_END = ("terminal_cost", "terminal_constraint", "terminal_equality")
@@ -25,9 +26,7 @@ def with_first_action(problem: OCP) -> OCP:
     """
     n_u = problem.n_stated_actions
     functions: dict[str, Any] = {name: _longer(getattr(problem, name), n_u) for name in (*_AT_STAGES, *_AT_END)}
-    stage = functions["stage_cost"]
-    kind = ca.SX if stage.is_a("SXFunction") else ca.MX
-    inputs = [kind.sym(name, stage.size1_in(i)) for i, name in enumerate("supcd")]
+    inputs = inputs_of(functions["stage_cost"])
     _, u, _, c, d = inputs
     before = functions["path_equality"]
     rows = [*([] if before is None else [before(*inputs)]), d[-1] * (u[:n_u] - c[problem.n_context :])]
@@ -40,11 +39,10 @@ def with_first_action(problem: OCP) -> OCP:
 
 
 def _longer(function: ca.Function | None, n_u: int) -> ca.Function | None:
-    """A stage or terminal function that takes n_u more numbers of the context, and one more of the stage."""
+    """A stage or terminal function with n_u more numbers in the context and one more in the stage."""
     if function is None:
         return None
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
-    sizes = [function.size1_in(i) for i in range(function.n_in())]
+    kind, sizes = kind_of(function), [function.size1_in(i) for i in range(function.n_in())]
     more = [0] * (len(sizes) - 2) + [n_u, 1]
     inputs = [kind.sym(f"x{i}", size + extra) for i, (size, extra) in enumerate(zip(sizes, more, strict=True))]
     seen = [x[:size] for x, size in zip(inputs, sizes, strict=True)]

@@ -21,6 +21,7 @@ from kpirl_ocp.ocp.interior_point.stage_functions import (
 )
 from kpirl_ocp.ocp.problem.linearised_dynamics import depends_on_psi
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.statement.expressions import inputs_of, kind_of
 
 Symbols: TypeAlias = "Mapping[str, ca.MX | ca.SX]"
 
@@ -83,8 +84,7 @@ _CONDITIONS = {"successor": "costates", "path": "z", "equality": "nu"}
 
 def _pull(name: str, values: ca.Function) -> ca.Function:
     """values: of a stage or of the end."""
-    kind = ca.SX if values.is_a("SXFunction") else ca.MX
-    inputs = {one: kind.sym(one, values.size1_in(one)) for one in values.name_in()}
+    inputs, kind = dict(zip(values.name_in(), inputs_of(values), strict=True)), kind_of(values)
     found = dict(zip(values.name_out(), values.call(list(inputs.values()), True, False), strict=True))
     x, lagrangian, total = inputs["x"], found["cost"], kind(0)
     weights = {"dx": kind.sym("dx", x.numel())}

@@ -11,15 +11,17 @@ from itertools import pairwise
 
 import casadi as ca
 
+from kpirl_ocp.ocp.problem.statement.expressions import inputs_of
+
 _WRITTEN_OUT = 32  # up to this many steps are written out one by one
 
 
 def scan(stage: ca.Function, start: ca.MX, inputs: Sequence[ca.MX], steps: int, backwards: bool = False) -> list[ca.MX]:
     """Apply a stage function block by block, forwards or backwards; its first output is its first input at the next.
 
-    Inputs and outputs (n, T B) are ordered by time in both cases; an input (n, B) is used at every step. It does the
-    same as `mapaccum`, but copies arrays only once. Many steps are split into groups that are functions of their own,
-    at the price of one more copy: compilers take more than twice the time for a function of twice the length.
+    Inputs and outputs (n, T B) are ordered by time in both cases; an input (n, B) is used at every step. The result is
+    that of `mapaccum`, but arrays are copied only once. Many steps are split into groups that are functions of their
+    own, at the price of one more copy: compilers take more than twice the time for a function of twice the length.
     """
     size = 1 if steps <= _WRITTEN_OUT else math.isqrt(steps)
     ends = [*range(0, steps, size), steps]
@@ -62,14 +64,14 @@ def map_shared(function: ca.Function, steps: int, inputs: Sequence[ca.MX], add: 
 
 def _used(function: ca.Function) -> list[int]:
     """Indices of the inputs that an output depends on."""
-    symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+    symbols = inputs_of(function)
     outputs = ca.vertcat(*map(ca.vec, function.call(symbols)))
     return [i for i, symbol in enumerate(symbols) if ca.depends_on(outputs, symbol)]
 
 
 def _with_inputs(function: ca.Function, used: Sequence[int]) -> ca.Function:
     """The function of these inputs alone, with zeros for the others and dense outputs."""
-    symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+    symbols = inputs_of(function)
     given = [symbol if i in used else type(symbol).zeros(symbol.shape) for i, symbol in enumerate(symbols)]
     outputs = [ca.densify(output) for output in function.call(given, True, False)]
     return ca.Function(function.name(), [symbols[i] for i in used], outputs)

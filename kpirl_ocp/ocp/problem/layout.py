@@ -1,4 +1,4 @@
-"""The order of unknowns and multipliers in flat vectors; time comes first, as everywhere outside CasADi.
+"""The order of unknowns and multipliers in flat vectors. In arrays time comes first, as everywhere outside CasADi.
 
     w      = (s_0 .. s_T, u_0 .. u_{T-1})
     lambda = (dynamics, path_equality, terminal_equality)      of the equalities
@@ -64,7 +64,7 @@ def bound_multipliers(multipliers: Multipliers) -> Array:
 def unpack_multipliers(problem: OCP, nu: Array, lam: Array, mu: Array) -> Multipliers:
     """The multipliers of bounds, equalities and inequalities as named arrays.
 
-    Zero for given entries of s_0. lam may be that of live rows alone; then the others are zero, too.
+    Zero for given entries of s_0. lam may hold the multipliers of live rows alone; then those of the others are zero.
     """
     lam = _spread(lam, live_equalities(problem))
     steps = problem.horizon

@@ -12,6 +12,8 @@ from typing import Protocol
 
 import casadi as ca
 
+from kpirl_ocp.ocp.problem.statement.expressions import inputs_of
+
 
 class LinearisedDynamics(Protocol):
     """The linearisation of f at B points, with costates Lambda (n_s, B)."""
@@ -33,7 +35,7 @@ class LinearisedDynamics(Protocol):
     def second(self) -> tuple[ca.Function, list[ca.MX]]:
         """A function of one point -> f, F (n_s, n_x), (lambda . f)'' (n_x, n_x); and its arguments, B columns each.
 
-        Whatever is better computed for all points at once is done in the arguments.
+        Whatever is better computed for all points at once is already computed in the arguments.
         """
         ...
 
@@ -116,7 +118,7 @@ def depends_on_psi(dynamics: ca.Function) -> bool:
 def without_psi(function: ca.Function) -> ca.Function:
     """A function (s, u, psi, ..) of dynamics that do not depend on psi, with an empty psi.
 
-    To repeat psi for every stage takes O(T^2) memory where psi has numbers for every step.
+    Repeating psi for every stage takes O(T^2) memory where psi has numbers for every step.
     """
     s, u, psi, *others = function.mx_in()
     outputs = function.call([s, u, ca.MX.zeros(psi.shape), *others], True, False)
@@ -128,7 +130,6 @@ def _without_unused_psi(function: ca.Function, dynamics: ca.Function) -> ca.Func
 
 
 def _symbols(dynamics: ca.Function) -> tuple[ca.SX | ca.MX, ...]:
-    """Symbols s, u, psi and lambda, and the expression f: SX where the dynamics are an SX function, else MX."""
-    kind = ca.SX if dynamics.is_a("SXFunction") else ca.MX
-    s, u, psi = (kind.sym(name, dynamics.size1_in(i)) for i, name in enumerate(("s", "u", "psi")))
-    return s, u, psi, kind.sym("lam", s.numel()), dynamics(s, u, psi)
+    """Symbols s, u, psi and lambda, and the expression f."""
+    s, u, psi = inputs_of(dynamics)
+    return s, u, psi, type(s).sym("lam", s.numel()), dynamics(s, u, psi)

@@ -36,6 +36,7 @@ from kpirl_ocp.ocp.problem.statement.checks import (
 )
 from kpirl_ocp.ocp.problem.statement.complete import complete
 from kpirl_ocp.ocp.problem.statement.draft import Additions, Draft
+from kpirl_ocp.ocp.problem.statement.expressions import inputs_of, kind_of
 from kpirl_ocp.ocp.problem.statement.soft import Soft
 from kpirl_ocp.ocp.problem.statement.summary import summary
 from kpirl_ocp.ocp.problem.statement.switches import with_interior
@@ -47,10 +48,10 @@ from kpirl_ocp.types import Trajectory
 class OCP(Arrays):
     """An optimal-control problem in stage functions (`ca.Function`, SX or MX).
 
-    dynamics: f(s, u, psi, c, d) -> s_next (n_s,); f(s, u, psi) is accepted, too, and given the other two.
+    dynamics: f(s, u, psi, c, d) -> s_next (n_s,), or f(s, u, psi).
     stage_cost: l(s, u, psi, c, d) -> scalar.
     terminal_cost: l_T(s, psi, c, d) -> scalar.
-    horizon: T, number of actions.
+    horizon: T, the number of actions.
     path_constraint: h(s, u, psi, c, d) -> (n_h,), to be <= 0 at t = 0 .. T-1; rows without u at s_T too. None for none.
     path_equality: e(s, u, psi, c, d) -> (n_e,), to be 0 at t = 0 .. T-1; None for none.
     terminal_constraint: h_T(s, psi, c, d) -> (n_hT,), to be <= 0 at s_T; None for none.
@@ -61,8 +62,8 @@ class OCP(Arrays):
     initial_bounds: (lower, upper) of s_0, each broadcast to (n_s,): free where they differ; where they are equal, s_0
         is given by the argument s0, whatever their value. None: all of s_0 is given.
     schedule: (T+1, n_d), row t is d_t.
-    derivatives: of dynamics that depend on neither c nor d, where something better than CasADi's AD is known.
-    additions: the last states and actions that `from_expressions` has added, for static decisions and soft constraints.
+    derivatives: those of the dynamics, where better ones than CasADi's AD are known, and f depends on neither c nor d.
+    additions: the last states and actions, which `from_expressions` added for static decisions and soft constraints.
 
     Raises ProblemError when dimensions disagree. `OCP.from_expressions` builds one from symbols.
     """
@@ -127,7 +128,7 @@ class OCP(Arrays):
     ) -> OCP:
         """State a problem in CasADi expressions of the symbols state, action, parameters, context and stage (d_t).
 
-        Symbols that do not occur may be left out, an action too. All must be of one kind, SX or MX.
+        Symbols that do not occur may be left out, even the action. All must be of one kind, SX or MX.
 
         Args:
             action_bounds, state_bounds, initial_bounds: as in `OCP`, or expressions of parameters, context, stage and
@@ -277,7 +278,6 @@ class OCP(Arrays):
 
 def _with_stage(dynamics: ca.Function, n_context: int, n_schedule: int) -> ca.Function:
     """f(s, u, psi) as f(s, u, psi, c, d)."""
-    kind = ca.SX if dynamics.is_a("SXFunction") else ca.MX
-    inputs = [kind.sym(name, *dynamics.size_in(i)) for i, name in enumerate(("s", "u", "psi"))]
-    others = [kind.sym(name, length) for name, length in (("c", n_context), ("d", n_schedule))]
+    inputs = inputs_of(dynamics)
+    others = [kind_of(dynamics).sym(name, length) for name, length in (("c", n_context), ("d", n_schedule))]
     return ca.Function("dynamics", [*inputs, *others], dynamics.call(inputs, True, False))

@@ -1,4 +1,4 @@
-"""Refusals of problems with features that a solver does not support."""
+"""Features of problems, and the refusal of those that a solver does not support."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kpirl_ocp.types import Array
 
 
 def features(problem: OCP) -> dict[str, bool]:
-    """Everything that a problem may have beyond bounds and path constraints, by name: True where it does."""
+    """Features that a problem may have beyond bounds and path constraints: True for those that this one has."""
     return {
         "path equalities": problem.n_path_equality > 0,
         "terminal inequalities (or path constraints on states alone)": problem.n_terminal > 0,

@@ -47,7 +47,7 @@ class StageDerivatives(StageValues):
 
 
 class Solver(Protocol):
-    """A small configured object without hidden state; what it builds for a problem is cached and reused."""
+    """A small frozen object of settings; the functions that it builds for a problem are cached and reused."""
 
     def solve(
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None

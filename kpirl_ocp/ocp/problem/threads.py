@@ -1,8 +1,8 @@
-"""One thread at a time in CasADi: two that evaluate one function at once, or functions that share a part, end the
-process.
+"""One thread at a time in CasADi: two that evaluate the same function at once, or two functions that share a part,
+crash the process.
 
-Solvers that run in CasADi take turns; `Riccati` and `GradientDescent` run compiled code and need not. Ctrl-C that comes
-while CasADi hands over numbers, which makes a SystemError of it, is Ctrl-C again.
+Solvers that run in CasADi take turns; `Riccati` and `GradientDescent` run compiled code and need not. If Ctrl-C comes
+while CasADi converts numbers, it raises SystemError; here that becomes KeyboardInterrupt again.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _R = TypeVar("_R")
 
 
 def one_at_a_time(method: Callable[_P, _R]) -> Callable[_P, _R]:
-    """A callable guarded so that one thread at a time is in any of those that are guarded."""
+    """The same callable behind a lock that all guarded ones share."""
 
     @wraps(method)
     def guarded(*args: _P.args, **kwargs: _P.kwargs) -> _R:

@@ -3,8 +3,8 @@
     l(s, u; psi, c, d) = l'(s, u; theta),    theta = coefficients(psi, c, d)
 
 theta collects every part of the stage cost that does not depend on state or action: for the keypoint costs the row of
-weights W = B g(Psi), the effort and the goal. It is computed once, however often the trajectory changes; the
-derivative with respect to it is collected in the same way, and taken to psi once.
+weights W = B g(Psi), the effort and the goal. It is computed once, however often the trajectory changes; derivatives
+with respect to theta are summed up likewise, and pulled back to psi once.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.statement.expressions import inputs_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +39,8 @@ class StageCost:
     @classmethod
     def of(cls, cost: ca.Function) -> StageCost:
         """From a stage cost l(s, u, psi, c, d)."""
-        kind = ca.SX if cost.is_a("SXFunction") else ca.MX
-        s, u, psi, c, d = (kind.sym(name, cost.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d")))
+        s, u, psi, c, d = inputs_of(cost)
+        kind = type(s)
         ds, du = kind.sym("ds", s.numel()), kind.sym("du", u.numel())
         value, names, parts = ca.extract_parametric(
             ca.densify(cost(s, u, psi, c, d)), ca.vertcat(psi, c, d), {"extract_trivial": True}
@@ -118,18 +119,16 @@ class TrajectoryCost:
 def stage_costs(problem: OCP) -> tuple[StageCost, StageCost]:
     """The stage and the terminal cost, the latter as a stage without an action."""
     final = problem.terminal_cost
-    kind = ca.SX if final.is_a("SXFunction") else ca.MX
-    s, psi, c, d = (kind.sym(name, final.size1_in(i)) for i, name in enumerate(("s", "psi", "c", "d")))
-    without_action = ca.Function("terminal_cost", [s, kind.sym("u", 0), psi, c, d], [final(s, psi, c, d)])
+    s, psi, c, d = inputs_of(final)
+    without_action = ca.Function("terminal_cost", [s, type(s).sym("u", 0), psi, c, d], [final(s, psi, c, d)])
     return StageCost.of(problem.stage_cost), StageCost.of(without_action)
 
 
 @lru_cache(maxsize=64)
 def _first_along(first: ca.Function) -> ca.Function:
     """(s, u, theta, dtheta) -> changes of l_s (n_s,) and l_u (n_u,)."""
-    kind = ca.SX if first.is_a("SXFunction") else ca.MX
-    s, u, theta = (kind.sym(name, first.size1_in(i)) for i, name in enumerate(("s", "u", "theta")))
-    dtheta = kind.sym("dtheta", theta.numel())
+    s, u, theta = inputs_of(first)
+    dtheta = type(s).sym("dtheta", theta.numel())
     changes = [ca.densify(ca.jtimes(slope, theta, dtheta)) for slope in first(s, u, theta)[1:]]
     return ca.Function("first_along", [s, u, theta, dtheta], changes)
 

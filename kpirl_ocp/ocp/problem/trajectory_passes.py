@@ -18,13 +18,14 @@ from typing import NamedTuple, Protocol
 import casadi as ca
 
 from kpirl_ocp.ocp.problem.columns import scan, sum_blocks
+from kpirl_ocp.ocp.problem.statement.expressions import inputs_of
 
 Memory = tuple[ca.MX, ...]
 """Arrays (n, T B) that one pass keeps for a later one."""
 
 
 class Rollout(NamedTuple):
-    """States (n_s, (T+1) B), actions (n_u, T B), and the arrays that the other passes need beside them.
+    """States (n_s, (T+1) B), actions (n_u, T B), and further arrays that the other passes need.
 
     extremes: (n, 1) minus the largest absolute values of each state and action, then the smallest of each number at
         whose zero the dynamics have a kink; None where `clearance` is not known.
@@ -68,10 +69,10 @@ class TrajectoryPasses(Protocol):
         ...
 
     def clearance(self, moves: ca.MX, nearest: ca.MX) -> ca.MX:
-        """Share of moves (n_s + n_u,) of states and actions that is possible until derivatives change.
+        """The share of moves (n_s + n_u,) of states and actions that leaves the derivatives as they are.
 
-        Jacobians do by more than a thousandth of their terms, or at a kink; 0 where that is not known. `nearest` is
-        how near to zero the numbers come at whose zeros the dynamics have kinks.
+        That is, up to a thousandth of the terms of the Jacobians, and without a kink; 0 where it is not known.
+        `nearest` (n, 1) says how near to zero the numbers come at whose zeros the dynamics have kinks.
         """
         ...
 
@@ -152,7 +153,7 @@ def _stages(at: Rollout) -> tuple[ca.MX, ca.MX]:
 @lru_cache(maxsize=64)
 def _jvp(dynamics: ca.Function) -> ca.Function:
     """(s, u, psi, ds, du) -> f_s ds + f_u du (n_s,)."""
-    s, u, psi = _symbols_of(dynamics)
+    s, u, psi = inputs_of(dynamics)
     ds, du = type(s).sym("ds", s.numel()), type(s).sym("du", u.numel())
     value = dynamics(s, u, psi)
     return ca.Function("jvp", [s, u, psi, ds, du], [ca.jtimes(value, s, ds) + ca.jtimes(value, u, du)])
@@ -161,13 +162,7 @@ def _jvp(dynamics: ca.Function) -> ca.Function:
 @lru_cache(maxsize=64)
 def _vjp(dynamics: ca.Function) -> ca.Function:
     """(s, u, psi, lambda) -> f_s^T lambda (n_s,), f_u^T lambda (n_u,), f_psi^T lambda (n_psi,)."""
-    s, u, psi = _symbols_of(dynamics)
+    s, u, psi = inputs_of(dynamics)
     lam = type(s).sym("lam", s.numel())
     pairing = ca.dot(lam, dynamics(s, u, psi))
     return ca.Function("vjp", [s, u, psi, lam], [ca.gradient(pairing, x) for x in (s, u, psi)])
-
-
-def _symbols_of(dynamics: ca.Function) -> list[ca.SX | ca.MX]:
-    """Symbols s, u and psi: SX where the dynamics are an SX function, else MX."""
-    kind = ca.SX if dynamics.is_a("SXFunction") else ca.MX
-    return [kind.sym(name, dynamics.size1_in(i)) for i, name in enumerate(("s", "u", "psi"))]

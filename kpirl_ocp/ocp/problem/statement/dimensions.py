@@ -1,4 +1,4 @@
-"""Sizes of a problem and what else follows from its stage functions and bounds."""
+"""Sizes of a problem, and other properties that follow from its stage functions and bounds."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED, Bounds
 from kpirl_ocp.ocp.problem.statement.draft import Additions
+from kpirl_ocp.ocp.problem.statement.expressions import inputs_of, kind_of
 from kpirl_ocp.ocp.problem.statement.switches import live_rows
 from kpirl_ocp.types import Array, Indices, Mask
 
@@ -23,7 +24,7 @@ class Live(NamedTuple):
 
 
 class Dimensions:
-    """Derived from the fields of an `OCP`, each when it is first asked for."""
+    """Properties derived from the fields of an `OCP`, each when it is first read."""
 
     dynamics: ca.Function
     stage_cost: ca.Function
@@ -51,12 +52,12 @@ class Dimensions:
 
     @cached_property
     def n_stated_states(self) -> int:
-        """Length of the state without what `from_expressions` has added."""
+        """Length of the state without the entries that `from_expressions` has added."""
         return self.n_states - len(self.additions.states)
 
     @cached_property
     def n_stated_actions(self) -> int:
-        """Length of the action without what `from_expressions` has added."""
+        """Length of the action without the entries that `from_expressions` has added."""
         return self.n_actions - self.additions.slacks
 
     @cached_property
@@ -91,7 +92,7 @@ class Dimensions:
 
     @cached_property
     def n_observations(self) -> int:
-        """n_z, length of what a demonstration shows of one state."""
+        """n_z, length of the observation of one state."""
         return self.n_states if self.observation is None else self.observation.size1_out(0)
 
     @cached_property
@@ -115,9 +116,9 @@ class Dimensions:
 
     @cached_property
     def limits(self) -> tuple[Array, Array]:
-        """Lower and upper (T+1, n_s) of all states: `state_bounds`, with row 0 as it counts.
+        """Lower and upper bounds (T+1, n_s) of all states that solvers use: `state_bounds`, but for row 0.
 
-        There, given entries are not bounded, and free ones obey `state_bounds` and `initial_bounds`.
+        In row 0, given entries are not bounded, and free ones obey both `state_bounds` and `initial_bounds`.
         """
         lower, upper = (np.array(bound) for bound in self.state_bounds)
         initial = self.initial_bounds or UNBOUNDED
@@ -130,8 +131,8 @@ class Dimensions:
         """The rows of h that do not depend on the action, and hold at s_T too."""
         if self.path_constraint is None:
             return np.zeros(0, np.intp)
-        moved = np.unique(self.path_constraint.jac_sparsity(0, 1).get_triplet()[0])
-        return np.setdiff1d(np.arange(self.n_path), moved)
+        depend_on_u = np.unique(self.path_constraint.jac_sparsity(0, 1).get_triplet()[0])
+        return np.setdiff1d(np.arange(self.n_path), depend_on_u)
 
     @cached_property
     def terminal_inequality(self) -> ca.Function | None:
@@ -139,7 +140,7 @@ class Dimensions:
         if not len(self.state_rows):
             return self.terminal_constraint
         parts = [part for part in (self.path_constraint, self.terminal_constraint) if part is not None]
-        kind = ca.SX if all(part.is_a("SXFunction") for part in parts) else ca.MX
+        kind = kind_of(*parts)
         s, *numbers = (kind.sym(name, self.terminal_cost.size1_in(i)) for i, name in enumerate(("s", "psi", "c", "d")))
         rows = parts[0](s, kind.zeros(self.n_actions), *numbers)[self.state_rows.tolist()]
         own = [part(s, *numbers) for part in parts[1:]]
@@ -160,8 +161,8 @@ class Dimensions:
     def transition(self) -> ca.Function:
         """f(s, u, p) with all its numbers in one vector: p is psi, or (psi, c, d) where f sees the context or d."""
         f = self.dynamics
-        kind = ca.SX if f.is_a("SXFunction") else ca.MX
-        s, u, psi, *others = (kind.sym(name, f.size1_in(i)) for i, name in enumerate(("s", "u", "psi", "c", "d")))
+        s, u, psi, *others = inputs_of(f)
+        kind = type(s)
         if not self.dynamics_see_stage:
             unseen = [kind.zeros(other.shape) for other in others]
             return ca.Function("transition", [s, u, psi], f.call([s, u, psi, *unseen], True, False))

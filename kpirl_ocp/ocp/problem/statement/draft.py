@@ -1,5 +1,5 @@
-"""A problem while it is being stated: its expressions, to which rows, states and actions are added before functions
-are made of them.
+"""A problem while it is being stated: expressions, to which rows, states and actions are added before they become
+functions.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from kpirl_ocp.ocp.problem.statement.expressions import (
     check_rows,
     expression_of,
     function_of,
-    strange,
     symbols_of,
+    unknown_symbols,
 )
 from kpirl_ocp.types import Array
 
@@ -48,7 +48,7 @@ class Additions:
 class Draft:
     """Symbols, expressions and bounds of a problem; `fields` makes those of an `OCP` out of them.
 
-    Expressions may be appended to while there are only the user's symbols or added ones in them.
+    Rows, costs, states and actions that are added may depend on the user's symbols and on added ones.
     """
 
     def __init__(
@@ -93,8 +93,7 @@ class Draft:
         if self._after is None:
             self._after = self.kind.sym("after_start")
             self.symbols["stage"].append(self._after)
-            late = np.minimum(np.arange(self.horizon + 1.0), 1.0)
-            self.schedule = np.column_stack([self.schedule, late])
+            self.schedule = np.column_stack([self.schedule, np.minimum(np.arange(self.horizon + 1.0), 1.0)])
         return self._after
 
     def append(self, name: str, *rows: Expression) -> None:
@@ -131,10 +130,10 @@ class Draft:
     def check_bound(self, name: str, bound: Expression) -> None:
         """Raise ProblemError for a bound that depends on states or actions, or on symbols that were not passed in."""
         allowed = [symbol for role in ("parameters", "context", "stage") for symbol in self.symbols[role]]
-        strangers = strange(bound, [*allowed, *self.symbols["state"][1:]])
-        if strangers:
+        unknown = unknown_symbols(bound, [*allowed, *self.symbols["state"][1:]])
+        if unknown:
             raise ProblemError(
-                f"{name} depends on {', '.join(strangers)}: bounds may depend on parameters, context, stage and static."
+                f"{name} depends on {', '.join(unknown)}: bounds may depend on parameters, context, stage and static."
             )
 
     def fields(self) -> dict[str, Any]:
@@ -143,15 +142,8 @@ class Draft:
             name: None if value is None else function_of(name, value, self.symbols)
             for name, value in self.expressions.items()
         }
-        return (
-            functions
-            | self.bounds
-            | {
-                "horizon": self.horizon,
-                "schedule": self.schedule,
-                "additions": self.additions,
-            }
-        )
+        sizes = {"horizon": self.horizon, "schedule": self.schedule, "additions": self.additions}
+        return functions | self.bounds | sizes
 
     def _widen(self, name: str, added: tuple[Array, Array]) -> None:
         before = self.bounds[name]

@@ -1,4 +1,4 @@
-"""Stage functions from CasADi expressions of the symbols of a problem."""
+"""Stage functions from CasADi expressions of the symbols of a problem, and symbols for the inputs of functions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SHORT = {"state": "s", "action": "u", "parameters": "psi", "context": "c", "sta
 _RELATIONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 _STAGE = ("state", "action", "parameters", "context", "stage")
 _END = ("state", "parameters", "context", "stage")
-SEEN = {
+ARGUMENTS = {
     "dynamics": _STAGE,
     "stage_cost": _STAGE,
     "path_constraint": _STAGE,
@@ -37,7 +37,7 @@ CONSTRAINTS = ("path_constraint", "path_equality", "terminal_constraint", "termi
 def symbols_of(**given: Expression | None) -> dict[str, list[Expression]]:
     """Checked symbols by argument; an empty one where there is none. All are of the kind of the state, SX or MX.
 
-    Raises ProblemError for what is no column of symbols, of another kind, or has two places.
+    Raises ProblemError for anything but a column of symbols, for another kind, and for a symbol with two places.
     """
     kind = type(given["state"])
     if kind not in (ca.SX, ca.MX):
@@ -96,15 +96,15 @@ def _parts(column: Expression) -> list[Expression]:
 
 
 def function_of(name: str, expression: Expression, symbols: Symbols) -> ca.Function:
-    """The function of an expression, with one column for every argument of `SEEN`.
+    """The function of an expression, with one column for every one of its `ARGUMENTS`.
 
     Raises ProblemError for an expression of other symbols, and names them.
     """
-    parts = {argument: symbols[argument] for argument in SEEN[name]}
-    strangers = strange(expression, [symbol for own in parts.values() for symbol in own])
-    if strangers:
+    parts = {argument: symbols[argument] for argument in ARGUMENTS[name]}
+    unknown = unknown_symbols(expression, [symbol for own in parts.values() for symbol in own])
+    if unknown:
         raise ProblemError(
-            f"{name} depends on {', '.join(strangers)}: its symbols are not among those passed in that it may depend "
+            f"{name} depends on {', '.join(unknown)}: its symbols are not among those passed in that it may depend "
             f"on ({', '.join(parts)})."
         )
     try:
@@ -118,6 +118,17 @@ def function_of(name: str, expression: Expression, symbols: Symbols) -> ca.Funct
     return ca.Function(name, inputs, inner.call(split, True, False), names, [name])
 
 
+def kind_of(*functions: ca.Function) -> Any:
+    """`ca.SX` if all of these are SX functions, so that they can be called with it, else `ca.MX`."""
+    return ca.SX if all(function.is_a("SXFunction") for function in functions) else ca.MX
+
+
+def inputs_of(function: ca.Function) -> list[Any]:
+    """A new dense symbol for every input of a function, of its kind."""
+    kind = kind_of(function)
+    return [kind.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
+
+
 def depends(expression: Expression, *symbols: Expression) -> list[bool]:
     """Which rows of a column depend on any of these symbols."""
     found = [ca.which_depends(expression, symbol, 1, True) for symbol in symbols if symbol.numel()]
@@ -129,7 +140,7 @@ def values_of(expression: Expression) -> Array | None:
     return None if ca.symvar(expression) else ca.evalf(ca.densify(expression)).full().ravel()
 
 
-def strange(expression: Expression, symbols: Iterable[Expression]) -> list[str]:
+def unknown_symbols(expression: Expression, symbols: Iterable[Expression]) -> list[str]:
     """Names of the symbols in an expression that are not among these."""
     known = {identity(part) for symbol in symbols for part in ca.symvar(symbol)}
     return [part.name() for part in ca.symvar(expression) if identity(part) not in known]

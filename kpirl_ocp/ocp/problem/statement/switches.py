@@ -1,7 +1,7 @@
 """Rows of constraints that the schedule switches off: d_t g(s, u) constrains nothing where d_t is zero.
 
-They are found by structure: a number of the stage that is zero or one takes along what becomes zero by it. A row 0 <= 0
-would leave an interior-point method no interior; such rows become -1 <= 0. Rows 0 = 0 are left out by solvers.
+They are found by structure: a row is switched off if the zeros and ones of the schedule alone make it zero. A row
+0 <= 0 would leave an interior-point method no interior; such rows become -1 <= 0. Solvers leave out rows 0 = 0.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Iterable
 import casadi as ca
 import numpy as np
 
+from kpirl_ocp.ocp.problem.statement.expressions import inputs_of, kind_of
 from kpirl_ocp.types import Array, Mask
 
 _SWITCHES = (0.0, 1.0)
@@ -23,8 +24,7 @@ def with_interior(function: ca.Function | None, schedule: Array) -> ca.Function 
     conditions = [(pattern, rows) for pattern in _patterns(schedule) if (rows := ~_rows(function, pattern)).any()]
     if not conditions:
         return function
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
-    inputs = [kind.sym(name, function.size1_in(i)) for i, name in enumerate(function.name_in())]
+    inputs, kind = inputs_of(function), kind_of(function)
     off = kind.zeros(function.size1_out(0))
     for pattern, rows in conditions:
         met = kind(1)
@@ -69,8 +69,7 @@ def _patterns(schedule: Array) -> Iterable[Array]:
 
 def _rows(function: ca.Function, switches: Array) -> Mask:
     """(n,) True for rows that are not zero, whatever the numbers of the stage that are NaN."""
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
-    *inputs, free = (kind.sym("x", function.size1_in(i)) for i in range(function.n_in()))
+    (*inputs, free), kind = inputs_of(function), kind_of(function)
     d = ca.vertcat(*(free[i] if np.isnan(value) else kind(ca.sparsify(value)) for i, value in enumerate(switches)))
     (rows,) = function.call([*inputs, d], True, False)
     return np.array([rows[i].nnz() > 0 and not rows[i].is_zero() for i in range(rows.size1())], bool)
