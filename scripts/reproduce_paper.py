@@ -1,6 +1,6 @@
 """The paper's experiments from nothing: the simulation study, reaching, placing from a human video, and robustness.
 
-Writes report.html and metrics.json. A run that was stopped goes on where it was: every finished part is kept in --out.
+Writes report.html and metrics.json. A run that was stopped resumes where it was: every finished part is kept in --out.
 """
 
 from pathlib import Path

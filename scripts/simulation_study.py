@@ -1,7 +1,7 @@
 """The paper's simulation study: reaching and placing, several seeds, our methods against others.
 
 And whether apprenticeship learning oscillates, for every choice that the paper leaves open.
-A run that was stopped goes on where it was: every finished case is kept in --out.
+A run that was stopped resumes where it was: every finished case is kept in --out.
 """
 
 from pathlib import Path

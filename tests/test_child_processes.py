@@ -206,7 +206,7 @@ def test_a_collection_whose_processes_start_ends_in_one_line(by, monkeypatch, tm
     words = ["collect", "sines", "--steps", "6", "--episodes", "3", "--jobs", "2", "--out", str(tmp_path)]
     assert run(words) == 130
     lines = [line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if line and "%|" not in line]
-    assert lines == [f"interrupted: finished episodes are in {tmp_path}; the same command goes on."]
+    assert lines == [f"interrupted: finished episodes are in {tmp_path}; the same command resumes."]
 
 
 @pytest.mark.parametrize("backend", ["loky", "dask"])

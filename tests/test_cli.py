@@ -262,7 +262,7 @@ WRONG = {  # words, beginning of the sentence
     "export own.py:undefined": "the example with s0 = [0.0] meets NaN or infinity: check dynamics, costs, constraints",
     "export --horizon 0": f"--horizon: {WHOLE} 1, got '0'.",
     "export --cost nowhere": "--cost: there is no file 'nowhere'.",
-    "export --prefix Arm": "--prefix: expected a prefix of small letters, digits and underscores, got 'Arm'.",
+    "export --prefix Arm": "--prefix: expected a prefix of lower-case letters, digits and underscores, got 'Arm'.",
     "export --solver converge": "--solver: expected one of real-time, converged, gradient-descent, sqp, "
     "got 'converge': did you mean 'converged'?",
     "export own.py:pendulum --cost own.py": "--cost is for a learned cost, and FILE.py:FUNCTION your own problem",
@@ -610,7 +610,7 @@ def test_interrupted_learning_keeps_the_best_cost(by, to, tmp_path):
     words = ["learn", "--steps", "1000000", "--task", "reaching"]
     code, (line,) = interrupted(words, tmp_path, b"best=", by, to)
     assert code == 130
-    pattern = rf"interrupted: the best cost of (\d+) iterations is in {tmp_path}/cost.json; the same command goes on."
+    pattern = rf"interrupted: the best cost of (\d+) iterations is in {tmp_path}/cost.json; the same command resumes."
     taken = int(re.fullmatch(pattern, line).group(1))
     results = json.loads((tmp_path / "metrics.json").read_text())["results"]
     assert json.loads((tmp_path / "cost.json").read_text())["psi"] == results["psi"]
@@ -639,7 +639,7 @@ def test_an_interrupted_collection_keeps_its_episodes_and_goes_on(by, to, tmp_pa
     words = ["collect", "keypoints", "--frames", "2", "--episodes", "40"]
     code, lines = interrupted(words, tmp_path, b"| 1/40", by, to)
     assert code == 130
-    assert lines == [f"interrupted: finished episodes are in {tmp_path}; the same command goes on."]
+    assert lines == [f"interrupted: finished episodes are in {tmp_path}; the same command resumes."]
     assert 1 <= len(list(tmp_path.glob("episode_*.npz"))) < 40
 
 
@@ -650,7 +650,7 @@ def test_a_collection_that_is_interrupted_while_its_workers_start_says_one_line(
     words = ["collect", "keypoints", "--frames", "2", "--episodes", "40", "--jobs", "4"]
     code, lines = interrupted(words, tmp_path, b"| 0/40")
     assert code == 130
-    assert lines == [f"interrupted: finished episodes are in {tmp_path}; the same command goes on."]
+    assert lines == [f"interrupted: finished episodes are in {tmp_path}; the same command resumes."]
 
 
 def test_the_hypergradients_of_an_own_problem_are_compared(own, tmp_path):

@@ -434,7 +434,7 @@ def test_a_cache_that_others_may_write_is_refused(mode, cache):
     cache.mkdir(parents=True)
     cache.chmod(mode)
     function = polynomial()
-    with pytest.warns(RuntimeWarning, match="others than this user may write .*chmod go-w"):
+    with pytest.warns(RuntimeWarning, match="other users may write to .*chmod go-w"):
         assert native.compiled(function) is function
     assert list(cache.iterdir()) == []
 

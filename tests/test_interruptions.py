@@ -27,7 +27,7 @@ from kpirl_ocp.ocp.export import ExportedSolver, export_c
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 C, NOTHING = "kpirl_ocp.cli.commands.", "nothing was saved"
-CHECKPOINT = r"the last checkpoint is {out}/checkpoint.safetensors; the same command goes on"
+CHECKPOINT = r"the last checkpoint is {out}/checkpoint.safetensors; the same command resumes"
 LEARN = "learn --demonstrations {demos} --steps 2"
 VIDEO = "learn-video {film} --box 54,74,106,126 --scale 0.4 --steps 5"
 KEYPOINTS = "train-keypoints --data {keypoints} --preset tiny --threads 1 --steps"
@@ -41,7 +41,7 @@ CASES = {  # words; where the signal comes; what is said to be saved
     "learn, when it has learned": (
         LEARN,
         f"{C}learn.evaluate",
-        "the learned cost is in {out}/cost.json; the same command goes on",
+        "the learned cost is in {out}/cost.json; the same command resumes",
     ),
     "evaluate": ("evaluate --demonstrations {demos} --cost {cost}", f"{C}evaluate.evaluate", NOTHING),
     "export": ("export --cost {cost}", "kpirl_ocp.ocp.export.folder._write", NOTHING),
@@ -66,7 +66,7 @@ CASES = {  # words; where the signal comes; what is said to be saved
     "reproduce_paper.py": (
         "reproduce_paper.py --preset tiny",
         "reproduction.data.prepare",
-        "finished parts are in {out}; the same command goes on",
+        "finished parts are in {out}; the same command resumes",
     ),
     "stress_test.py": (
         "stress_test.py --profile quick --only statuses",
@@ -263,7 +263,7 @@ def test_a_sweep_on_a_cluster_ends_in_one_line_leaves_no_process_and_goes_on(bac
     log = r"\d{4}-\d\d-.*\n" if backend == "ray" else "$."  # Ray tells how it starts
     lines = re.sub(log, "", rest.decode().replace("\r", "\n")).splitlines()
     assert [line for line in lines if line and "%|" not in line] == [
-        f"interrupted: finished parts are in {tmp_path}/out; the same command goes on."
+        f"interrupted: finished parts are in {tmp_path}/out; the same command resumes."
     ]
     assert not still_running(mark, 30)
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "out/results").iterdir()}

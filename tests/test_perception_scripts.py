@@ -179,7 +179,7 @@ DYNAMICS = "train-dynamics --detector {data}/detector/rejected.json --data {data
 EARLY = {  # words, beginning of the sentence
     f"{KEYPOINTS} --test {{data}}": "--test: {data}/meta.json does not exist",
     f"{KEYPOINTS} --test {{data}}/keypoints {{data}}/keypoints": "--test: takes directories of different names, got",
-    f"{KEYPOINTS} --test {{data}}/hand-wandering": "--test: scores take two clips or more, all of one size, and",
+    f"{KEYPOINTS} --test {{data}}/hand-wandering": "--test: {data}/hand-wandering must hold two clips",
     f"{KEYPOINTS} --start {__file__}": f"--start: {__file__}",
     f"{KEYPOINTS} --videos {{data}}/detector/nothing": "--videos: there is no file or directory",
     f"{KEYPOINTS} --videos {{data}}/sines": "--videos: {data}/sines holds no video",

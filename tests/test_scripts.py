@@ -342,7 +342,7 @@ def interrupted(words, sign, out):
 def test_an_interrupted_study_goes_on_where_it_was(tmp_path):
     words = "simulation_study.py --tasks placing --seeds 0 1 --iterations 2 --tests 1 --jobs 1"
     code, last = interrupted(words, r"1/2", tmp_path)
-    assert (code, last) == (130, f"interrupted: finished cases are in {tmp_path}; the same command goes on.")
+    assert (code, last) == (130, f"interrupted: finished cases are in {tmp_path}; the same command resumes.")
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")}
     assert len(kept) == 1
     again = call("simulation_study.py", "--config", str(tmp_path / "config.yaml"), "--out", str(tmp_path))

@@ -120,7 +120,7 @@ def main(args: Namespace) -> None:
     if args.address and args.backend == "loky":
         raise OptionError("--address is for --backend dask or ray; loky runs on this machine")
     check(args)
-    with said_if_interrupted(lambda: f"finished parts are in {args.out}; the same command goes on"):
+    with said_if_interrupted(lambda: f"finished parts are in {args.out}; the same command resumes"):
         reproduce(args)
 
 

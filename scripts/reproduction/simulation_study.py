@@ -64,7 +64,7 @@ def draw(results: Results, path: Path) -> Path:
 
 def main(args: Namespace) -> None:
     settings = StudySettings(iterations=args.iterations, tests=args.tests)
-    with said_if_interrupted(lambda: f"finished cases are in {args.out}; the same command goes on"):
+    with said_if_interrupted(lambda: f"finished cases are in {args.out}; the same command resumes"):
         results, variants = run_all(args, settings)
     header = ["task: method", "train IRL loss [m²]", "test IRL loss [m²]", "relative distance", "rises", "time [s]"]
     print("\n" + table(header, summary(results)))

@@ -2,7 +2,7 @@
 
 A job is a plain function with plain arguments that returns a flat dictionary of numbers and arrays. Its result is
 stored under its name and a hash of all that it depends on (arguments, code, versions), so that a sweep that was stopped
-goes on, and results of other settings or of other code are never mixed in.
+resumes, and results of other settings or of other code are never mixed in.
 """
 
 from __future__ import annotations

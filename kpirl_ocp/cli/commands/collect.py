@@ -14,7 +14,7 @@ from kpirl_ocp.reporting import said_if_interrupted
 
 
 def main(args: Namespace) -> None:
-    """Collect, or go on collecting."""
+    """Collect, or resume an earlier collection."""
     kind = MOTIONS[args.motion]
     given = {name: getattr(args, name) for name in SETTINGS if getattr(args, name) is not None}
     known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
@@ -25,5 +25,5 @@ def main(args: Namespace) -> None:
     if isinstance(motion, HandMotion) and round(motion.seconds * motion.rate) < 1:
         raise OptionError(f"--seconds, --rate: {motion.seconds:g} s at {motion.rate:g} Hz are a clip of one frame")
     warnings.filterwarnings("ignore", message=".*still being processed by the workers have been cancelled")  # on Ctrl-C
-    with said_if_interrupted(lambda: f"finished episodes are in {args.out}; the same command goes on"):
+    with said_if_interrupted(lambda: f"finished episodes are in {args.out}; the same command resumes"):
         print(f"episodes: {collect(args.out, motion, args.episodes or kind.episodes, args.seed, args.jobs)}")

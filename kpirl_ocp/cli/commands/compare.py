@@ -18,7 +18,7 @@ from kpirl_ocp.reporting import kept_if_interrupted, table, write_metrics
 
 
 def as_row(measurement: Measurement, resolution: float) -> list[object]:
-    """Cells for a table; an error below `resolution`, to which the reference is known, is shown as that."""
+    """Cells of a table. resolution: the relative error of the reference; smaller errors are shown as '< resolution'."""
     return [
         measurement.method,
         measurement.steps or "-",
@@ -30,7 +30,7 @@ def as_row(measurement: Measurement, resolution: float) -> list[object]:
 
 
 def draw(measurements: list[Measurement], learning: dict[str, LearningResult], resolution: float, path: Path) -> Path:
-    """`resolution`: the relative error to which the reference is known; smaller errors are drawn there."""
+    """The figure. resolution: the relative error of the reference; smaller errors are drawn there."""
     figure, axes = figures.new_figure(2, 2, width=5.0, height=3.6)
     colours = dict(zip(dict.fromkeys(m.method for m in measurements), figures.COLOURS, strict=False))
     quantities = [("error", 1, "relative error"), ("seconds", 1e3, "CPU time per gradient [ms]")]

@@ -1,4 +1,4 @@
-"""Plan with a learned cost on demonstrations it was not trained on, beside the Default cost and standing still."""
+"""Plan with a learned cost on new demonstrations; compare it with the Default cost and with standing still."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ EXAMPLES = 5
 
 
 class Exported(NamedTuple):
-    """A problem to export: psi (n_psi,), examples of (s0, context), and the solver if none is asked for."""
+    """A problem to export: psi (n_psi,), examples of (s0, context), and its default solver."""
 
     problem: OCP
     psi: Array
@@ -41,14 +41,14 @@ class Exported(NamedTuple):
 
 
 def network(horizon: int, seed: int) -> Exported:
-    """The placing problem with random weights, and starts with goals within its training data."""
+    """The placing problem with random weights; starts and goals are from within its training data."""
     data = placing_case(horizon, steps=20, count=EXAMPLES, seed=seed)
     examples = list(zip(data.s0, data.goal, strict=True))
     return Exported(data.bounded, data.psi.ravel(), examples, SOLVERS["real-time"])
 
 
 def learned(path: Path, seed: int) -> Exported:
-    """The planning problem of a learned cost, and demonstrated starts with goals."""
+    """The planning problem of a learned cost, with the starts and goals of demonstrations."""
     robot = Robot.iiwa()
     cost = cost_of_the_iiwa(path, robot)
     episodes = demonstrate(robot, "placing", EXAMPLES, seed, cost.horizon)
@@ -63,7 +63,7 @@ def own(place: str) -> Exported:
 
 
 def chosen(args: Namespace) -> Exported:
-    """The problem that the options ask for."""
+    """The problem that the options select."""
     if args.problem and args.cost:
         raise OptionError("--cost is for a learned cost, and FILE.py:FUNCTION your own problem: give one of them")
     if args.horizon and (args.problem or args.cost):
@@ -75,12 +75,12 @@ def chosen(args: Namespace) -> Exported:
 
 def main(args: Namespace) -> None:
     """Export, and say how to build."""
-    asked = chosen(args)
-    solver = SOLVERS[args.solver] if args.solver else asked.solver
-    problem = asked.problem
+    exported = chosen(args)
+    solver = SOLVERS[args.solver] if args.solver else exported.solver
+    problem = exported.problem
     if isinstance(solver, GradientDescent) and not (args.problem or args.cost):  # it knows no joint limits
         problem = replace(problem, state_bounds=UNBOUNDED)
-    folder = export_c(problem, solver, args.out, prefix=args.prefix, psi=asked.psi, examples=asked.examples)
+    folder = export_c(problem, solver, args.out, prefix=args.prefix, psi=exported.psi, examples=exported.examples)
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     print(f"{folder}: {len(list(folder.rglob('*.c')))} C files, {size / 1e6:.1f} MB\n")
     print(

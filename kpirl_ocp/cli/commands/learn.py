@@ -67,7 +67,7 @@ def optimiser(args: Namespace) -> Adam | Descent | LBFGS:
 
 
 def learn_from(args: Namespace, start: LearnedCost, problem: OCP, train: list[Demonstration]) -> LearningResult:
-    """Learn and write the best cost, also if interrupted; the same command goes on from the checkpoint."""
+    """Learn and write the best cost, also if interrupted; the same command resumes from the checkpoint."""
     method = Unrolled(start.solver) if isinstance(start.solver, GradientDescent) else Implicit(start.solver)
     checkpoint, path = args.out / CHECKPOINT, args.out / "cost.json"
     result = learn(problem, train, start.psi, method, optimiser(args), args.steps, checkpoint=checkpoint)
@@ -75,7 +75,7 @@ def learn_from(args: Namespace, start: LearnedCost, problem: OCP, train: list[De
     if result.interrupted:
         write_metrics(args.out, vars(args), history(result))
         done = f"the best cost of {len(result.losses) - 1} iterations is in {path}"
-        raise KeyboardInterrupt(f"{done}; the same command goes on")
+        raise KeyboardInterrupt(f"{done}; the same command resumes")
     return result
 
 
@@ -133,13 +133,13 @@ def main(args: Namespace) -> None:
     start = configure(args, episodes[0].horizon, demonstrations[0].observations.shape[1])
     problem = start.problem(robot)
     result = learn_from(args, start, problem, demonstrations[: args.train])
-    with said_if_interrupted(lambda: f"the learned cost is in {args.out / 'cost.json'}; the same command goes on"):
+    with said_if_interrupted(lambda: f"the learned cost is in {args.out / 'cost.json'}; the same command resumes"):
         show(args, start, result, problem, episodes)
     (args.out / CHECKPOINT).unlink()
 
 
 def show(args: Namespace, start: LearnedCost, result: LearningResult, problem: OCP, episodes: list[Episode]) -> None:
-    """Plan with the cost at the start and the learned one; print, write and draw what comes of it."""
+    """Plan with the starting and the learned cost; print, write and draw the results."""
     out, learned, robot = args.out, replace(start, psi=result.psi), Robot.iiwa()
     demonstrations = [as_demonstration(robot, episode) for episode in episodes]
     plans = {

@@ -35,7 +35,7 @@ from kpirl_ocp.reporting import said_if_interrupted, table, write_metrics
 from kpirl_ocp.types import Array
 
 _SHOWN = 8  # frames of the contact sheet
-_LEARNED_FROM = 5  # starts, so that the cost suits others as well
+_LEARNED_FROM = 5  # starts, so that the cost suits others, too
 
 
 def main(args: Namespace) -> int:
@@ -50,7 +50,7 @@ def main(args: Namespace) -> int:
 
 
 def _film(args: Namespace) -> Film:
-    """The part of the film that is asked for, and of which there are tracks."""
+    """The part of the film between --start and --end for which there are tracks."""
     film = Film(args.film, args.source_rate if args.film.is_dir() else None, args.start, args.end or np.inf)
     check_film(args, film)
     if not args.tracks:

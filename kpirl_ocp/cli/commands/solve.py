@@ -61,7 +61,7 @@ def bent_posture(robot: Robot, bend: float = 0.4) -> Array:
 
 def _solve_arm(args: Namespace) -> tuple[Solution, list[tuple[str, object]], Path]:
     vars(args).update({name: value for name, value in ARM.items() if getattr(args, name) is None})
-    write_rerun = viewing.write_rerun if args.rerun else None  # without its package nothing is solved
+    write_rerun = viewing.write_rerun if args.rerun else None  # before the solve: it raises if its package is missing
     with of_option("--robot" if args.tool is None else f"--robot {args.robot} --tool {args.tool}"):
         robot = robot_called(args.robot, () if args.tool is None else held_object(args.tool))
     problem = keypoint_ocp(

@@ -51,13 +51,13 @@ def score_rows(scores: dict[str, DetectorScores]) -> list[list[object]]:
 
 
 def resumable(checkpoint: Path) -> AbstractContextManager[None]:
-    """A block in which Ctrl-C says where the training can go on."""
-    words = f"the last checkpoint is {checkpoint}; the same command goes on"
+    """A block in which Ctrl-C says from where the training can be resumed."""
+    words = f"the last checkpoint is {checkpoint}; the same command resumes"
     return said_if_interrupted(lambda: words if checkpoint.exists() else "")
 
 
 def called(option: str, directories: Sequence[Path]) -> dict[str, Path]:
-    """Directories by the names under which scores of them are told. Raises OptionError if two have one name."""
+    """Directories by the names under which their scores are reported. Raises OptionError if two share a name."""
     names = [directory.resolve().name for directory in directories]
     if len(set(names)) < len(names):
         raise OptionError(f"{option}: takes directories of different names, got {', '.join(map(str, directories))}")
@@ -65,14 +65,14 @@ def called(option: str, directories: Sequence[Path]) -> dict[str, Path]:
 
 
 def held_out(directories: Sequence[Path]) -> dict[str, list[Recording]]:
-    """The clips of --test. Raises OptionError for fewer than two, which give no scores, or for clips of two sizes."""
+    """The clips of --test. Raises OptionError for fewer than two in a directory, or for clips of different sizes."""
     tests = {}
     for name, directory in called("--test", directories).items():
         with of_option("--test"):
             tests[name] = read_recordings(directory)
         sizes = {clip.images.shape[1:] for clip in tests[name]}
         if len(tests[name]) < 2 or len(sizes) > 1:
-            raise OptionError(f"--test: scores take two clips or more, all of one size, and {directory} has others")
+            raise OptionError(f"--test: {directory} must hold two clips or more, all of one size")
     return tests
 
 
@@ -96,7 +96,7 @@ def finish(
     """Score a trained detector on tests, draw, and save it as good or rejected.
 
     tests: held-out clips, by name. wrong: faults that are known already.
-    clips: to judge it by where there is nothing to test on.
+    clips: those to judge it by where there are no tests.
 
     Raises TrainingError if it is not good.
     """

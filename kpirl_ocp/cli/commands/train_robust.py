@@ -1,4 +1,4 @@
-"""Train a keypoint detector that surroundings do not move, and score it on data it has not seen."""
+"""Make a keypoint detector robust to its surroundings, and score it on data it has not seen."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ RENDERED: tuple[tuple[Motion, int], ...] = (
 
 
 def rendered(share: float, seed: int) -> Iterator[Frame]:
-    """The frames of that share of the usual clips, before the white wall."""
+    """The frames of a share of the usual clips, in front of the white wall."""
     episodes = [(motion, i) for motion, count in RENDERED for i in range(ceil(share * count))]
     for motion, index in tqdm(episodes, "render", unit="clip"):
         yield from motion.film(np.random.default_rng([seed, index]))

@@ -1,1 +1,1 @@
-"""The options of each subcommand, and its help; nothing here imports more than the standard library."""
+"""The options and the help of each subcommand; to keep `--help` quick, nothing here imports numpy and the like."""

@@ -1,4 +1,4 @@
-"""Plan with a learned cost on demonstrations it was not trained on, beside the Default cost and standing still."""
+"""Plan with a learned cost on new demonstrations; compare it with the Default cost and with standing still."""
 
 from argparse import ArgumentParser
 from pathlib import Path
@@ -7,10 +7,17 @@ from kpirl_ocp.cli.values import existing_directory, existing_file
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Declare them."""
+    """Declare the options."""
     parser.add_argument(
-        "--cost", type=existing_file, default=Path("out/learn/cost.json"), help="of `kpirl learn` (%(default)s)"
+        "--cost",
+        type=existing_file,
+        default=Path("out/learn/cost.json"),
+        help="cost.json of `kpirl learn` (default: %(default)s)",
     )
     parser.add_argument(
-        "--demonstrations", type=existing_directory, required=True, metavar="DIR", help="from `kpirl demonstrate`"
+        "--demonstrations",
+        type=existing_directory,
+        required=True,
+        metavar="DIR",
+        help="directory from `kpirl demonstrate`",
     )

@@ -1,9 +1,9 @@
 """Learn a cost from demonstrations, plan with it on those kept for testing, and show what was learned.
 
-unrolled: the paper's way; N gradient steps on the actions, differentiated.
-implicit: the planning problem is solved to the end with Riccati, and its optimality conditions are differentiated.
+unrolled: the paper's method; N gradient steps on the actions are differentiated.
+implicit: the planning problem is solved to convergence by Riccati, and its optimality conditions are differentiated.
 
-Ctrl-C keeps the best cost so far, and the same command goes on from there.
+Ctrl-C keeps the best cost so far; the same command resumes from there.
 """
 
 from argparse import ArgumentParser
@@ -18,16 +18,16 @@ OPTIMISERS = ("adam", "descent", "lbfgs")
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Declare them."""
+    """Declare the options."""
     parser.add_argument(
         "--demonstrations", type=existing_directory, metavar="DIR", help="directory from `kpirl demonstrate`"
     )
-    parser.add_argument("--task", type=one_of(TASKS), help=f"or demonstrate {' or '.join(TASKS)} afresh (the first)")
+    parser.add_argument("--task", type=one_of(TASKS), help=f"or make new ones of {' or '.join(TASKS)} (the first)")
     parser.add_argument(
         "--train",
         type=whole(1, MOST_DEMONSTRATIONS),
         default=1,
-        help="demonstrations to learn from, the first (default: 1)",
+        help="learn from the first so many demonstrations (default: 1)",
     )
     parser.add_argument("--method", type=one_of(METHODS), default="unrolled", help="unrolled (default) or implicit")
     parser.add_argument("--cost", type=one_of(COSTS), default="weighted", help="weighted (default), time or rbf")
@@ -42,4 +42,4 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--step-size", type=real(above=0), default=1e-2, help="alpha of the unrolled method (default: 0.01)"
     )
-    parser.add_argument("--seed", type=whole(0), default=0, help="demonstrations and starting weights (default: 0)")
+    parser.add_argument("--seed", type=whole(0), default=0, help="for demonstrations and initial weights (default: 0)")

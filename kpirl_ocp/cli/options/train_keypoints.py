@@ -1,6 +1,6 @@
 """Train the keypoint detector on camera data without labels, and score it on data it has not seen.
 
-Stopped, the same command goes on where its last checkpoint was. Presets: tiny (for tests), default, full (the
+After an interruption, the same command resumes from its last checkpoint. Presets: tiny (for tests), default, full (the
 paper's scale), minderer (the published losses alone).
 """
 
@@ -12,7 +12,7 @@ PRESETS = ("tiny", "default", "full", "minderer")
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Declare them."""
+    """Declare the options."""
     parser.add_argument(
         "--data", type=existing_directory, required=True, help="directory of clips (`kpirl collect keypoints`)"
     )
@@ -22,7 +22,11 @@ def add_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--preset", type=one_of(PRESETS), default="default", help=", ".join(PRESETS))
     parser.add_argument("--steps", type=whole(1), help="training steps (default: the preset's)")
-    parser.add_argument("--seed", type=whole(0), default=0, help="of weights and batches (default: 0)")
-    parser.add_argument("--start", type=existing_file, help="card of a trained detector to go on from, of one preset")
-    parser.add_argument("--device", default="auto", help="of torch: auto (a GPU if there is one), cpu, cuda, ...")
-    parser.add_argument("--threads", type=whole(1, MOST_PROCESSES), default=2, help="of torch (default: 2)")
+    parser.add_argument("--seed", type=whole(0), default=0, help="for weights and batches (default: 0)")
+    parser.add_argument(
+        "--start", type=existing_file, help="card of a trained detector of the same preset, to continue from"
+    )
+    parser.add_argument(
+        "--device", default="auto", help="device of torch: auto (a GPU if there is one), cpu, cuda, ..."
+    )
+    parser.add_argument("--threads", type=whole(1, MOST_PROCESSES), default=2, help="threads of torch (default: 2)")

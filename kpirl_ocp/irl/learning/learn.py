@@ -177,7 +177,7 @@ def learn(
             not those of `GradientDescent`, whose start is a part of the method.
         scale: a number or (n_psi,), the size of psi: the optimiser moves psi / scale.
         bounds: (lower, upper) of psi, each a number or (n_psi,).
-        checkpoint: file that learning is saved to, about every second and at the end. If it exists, learning goes on
+        checkpoint: file that learning is saved to, about every second and at the end. If it exists, learning resumes
             from there, up to `steps` in total, with the same numbers as if it had not been interrupted.
         callback: called with the state after every step; a true answer ends learning.
 

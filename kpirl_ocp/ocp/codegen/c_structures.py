@@ -75,10 +75,10 @@ class Structures:
         )
 
     def array(self, value: Any) -> Array:
-        """A contiguous array of the library's numbers, which must be kept while C reads it."""
+        """A contiguous array of the library's number type; keep it as long as C reads it."""
         return np.ascontiguousarray(value, self.real)
 
 
 def address(array: Array) -> int | None:
-    """For a pointer; None for an empty array."""
+    """Address of an array's numbers, for a pointer in C; None for an empty array."""
     return array.ctypes.data if array.size else None

@@ -49,7 +49,7 @@ def compiled(function: ca.Function) -> ca.Function:
 
 
 def compile_all(functions: Sequence[ca.Function]) -> list[ca.Function]:
-    """Several functions as machine code, their common parts compiled once; themselves without a C compiler."""
+    """Several functions as machine code, their common parts compiled once; without a C compiler, as they are."""
     command = compiler()
     if command is None:
         return list(functions)
@@ -91,12 +91,13 @@ def compile_folder(folder: Path, flags: Sequence[str], compiler: str | None, nam
 
     Args:
         folder: holds the sources and headers.
-        flags: of the compiler, beside those of a shared library.
+        flags: of the compiler, in addition to those for a shared library.
         compiler: its command; None for the system's.
-        names: of the folder's files, of which sources and headers at its top are compiled.
+        names: of the folder's files; the sources and headers at its top level are compiled.
 
     Raises:
-        CompilerError: without a compiler, or with its own words when it fails.
+        CompilerError: there is no compiler, or it fails; then with its message.
+        FileError: a file cannot be read.
     """
     compiler = compiler or find_compiler()
     if compiler is None:
@@ -137,7 +138,7 @@ def warn_slow(reason: str) -> None:
 
 @lru_cache(maxsize=4)
 def identity(compiler: str) -> str:
-    """Version and the processor that -march=native resolves to: a cache on a shared disk must not mix them."""
+    """A compiler's version and the processor that -march=native means: a cache on a shared disk must not mix them."""
     return _run([compiler, "-march=native", "-E", "-dM", "-x", "c", os.devnull])
 
 
@@ -145,7 +146,7 @@ def _run(command: Sequence[str]) -> str:
     """Output of a compiler.
 
     Raises:
-        CompilerError: with its own words when it fails, or when it hangs; it is ended then, with what it has started.
+        CompilerError: it fails, then with its message; or it hangs, then it is killed with its child processes.
     """
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = subprocess.Popen(command, **pipes, text=True, start_new_session=True)  # type: ignore[call-overload]
@@ -171,10 +172,10 @@ def _build(compiler: str, source: str, library: Path) -> None:
 
 
 def link(compiler: str, flags: Sequence[str], sources: Sequence[Path], library: Path) -> None:
-    """Compile beside the target and rename: another process sees the whole library or none.
+    """Compile next to the target, then rename: another process sees the whole library or none.
 
     Raises:
-        CompilerError: the compiler fails, hangs, or writes something else.
+        CompilerError: the compiler fails, hangs, or writes no sound library.
     """
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=library.parent) as scratch:

@@ -1,4 +1,4 @@
-"""Ctrl-C in a solver of CasADi, which makes it a RuntimeError, or with Ipopt a status like others."""
+"""Ctrl-C in a solver of CasADi, which turns it into a RuntimeError or, with Ipopt, into a status like any other."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import casadi as ca
 
 
 def call_solver(solver: ca.Function, **arguments: Any) -> dict[str, ca.DM]:
-    """Call a solver of CasADi by its names of inputs. Raises KeyboardInterrupt if Ctrl-C came meanwhile."""
+    """Call a solver of CasADi with named inputs. Raises KeyboardInterrupt if Ctrl-C came meanwhile."""
     with _noting_ctrl_c() as came:
         try:
             result = solver(**arguments)
-        except (RuntimeError, SystemError):  # what Ctrl-C becomes, by Python version
+        except (RuntimeError, SystemError):  # which of them Ctrl-C becomes depends on the version of Python
             if not came():
                 raise
     if came():

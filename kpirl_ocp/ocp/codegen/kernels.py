@@ -2,9 +2,9 @@
 
 CasADi's own `casadi_mtimes_dense`, z += x y, runs along rows and cannot be vectorised. This one keeps a tile of z, some
 vectors of rows times up to five columns, in registers while it walks along the columns of x. An entry of z sums its
-products in the order of CasADi's virtual machine, so that the results are equal to the last bit, unless several partial
-sums are asked for, which hide the latency of low tiles. Then results differ by rounding alone; NaN and infinity go
-through as in any sum. So they do in tanh, which is right to two units in the last place.
+products in the order of CasADi's virtual machine, so that the results are equal to the last bit, except
+where several partial sums hide the latency of low tiles; there, results differ by rounding. NaN and infinity propagate
+as in any sum, and through tanh, which is exact to two units in the last place.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ _BODIES = {
     "casadi_real casadi_vfmax": LARGEST,
 }
 _TANH_LOOP = re.compile(r"for \(i=0, rr=([^,]+), cs=([^;]+); i<(\d+); \+\+i\) \*rr\+\+ = tanh\( ?\*cs\+\+ ?\);")
-_REALS = re.compile(r"#define casadi_int .*\n(#endif\n)?")  # what the kernels need stands before
+_REALS = re.compile(r"#define casadi_int .*\n(#endif\n)?")  # defined before the kernels, which need it
 
 
 def with_fast_kernels(source: str) -> str:
@@ -223,7 +223,7 @@ def _with_products(source: str) -> str:
 
 
 def _begin_with(text: str, source: str) -> str:
-    """Generated C with a text behind its types."""
+    """Generated C with a text inserted after its types."""
     at = _REALS.search(source)
     assert at, "generated C defines casadi_int"
     return source[: at.end()] + text + source[at.end() :]

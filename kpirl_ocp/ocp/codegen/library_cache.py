@@ -1,4 +1,4 @@
-"""The cache of shared libraries: what is in it belongs to this user, and is loaded only as it was built.
+"""The cache of shared libraries, which belong to this user and are loaded only as they were built.
 
 A library ends with the digest of the rest of it, so that one that was truncated, emptied or damaged is built again. The
 cache is shared between processes and bounded: beyond `_CACHE_BYTES` the libraries that were not used for longest are
@@ -47,8 +47,8 @@ def place(name: str, key: str) -> Path:
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     if _exposed(directory):
         raise CompilerError(
-            f"others than this user may write {directory}, so that no code is loaded from it: "
-            "take that right away (chmod go-w), or set XDG_CACHE_HOME to another directory."
+            f"other users may write to {directory}, so no code is loaded from it: "
+            "revoke that permission (chmod go-w), or set XDG_CACHE_HOME to another directory."
         )
     return directory / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
 

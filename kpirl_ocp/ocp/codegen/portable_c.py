@@ -9,8 +9,8 @@ the number type. What has no option is changed in the text:
 - the address of an empty array, written 0 + i*0, is no pointer: such a copy of nothing is left out;
 - the memory of `sqpmethod`, a pool of static structures behind a counter, becomes a local variable, as it does not
   outlive a call;
-- `sqpmethod` asks its caller when to stop: tolerance and iterations that are compiled in make way for a call of
-  kpirl_mpc_<name>_stops, which is written by hand, and gets what the caller handed over as `watch`.
+- `sqpmethod` asks its caller when to stop: in the place of tolerance and iteration limit, which CasADi compiles in,
+  it calls kpirl_mpc_<name>_stops, which is written by hand and gets the caller's `watch`.
 
 Other files call the functions by name: with a structure of pointers for the arguments, and one for the results, whose
 members bear the names of the function's inputs and outputs.
@@ -27,7 +27,7 @@ from kpirl_ocp.errors import CompilerError, ProblemError
 from kpirl_ocp.ocp.codegen.templates import LICENCE, PREFIX
 
 Interfaces = Mapping[str, str]
-"""Under which names the structures of a function are known, where several share one; by name of the function."""
+"""Function name -> name of its structures, for functions that share them."""
 
 STAGE = "stage"
 """The interface of stage functions, which is written by hand in `kpirl_mpc_model.h`."""

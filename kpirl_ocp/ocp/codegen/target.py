@@ -19,10 +19,10 @@ class Target:
     share structures, see `portable_c`. transition: name of the one that gives the successor of a stage.
     sources: hand-written files, without prefix; with_core: those of the interior-point method, too.
     workspace: the header among them with the type of the solver's memory. macros: numbers that they are compiled with.
-    data: what belongs into the file of constants.
+    data: C to append to the file of constants.
     steps, max_iterations, tolerance, barrier: the settings of a new controller; see `kpirl_mpc_settings`.
     single_tolerance: the tightest tolerance that makes sense in single precision.
-    restores: whether it looks for a feasible point where it gets stuck, and so may say INFEASIBLE.
+    restores: whether it looks for a feasible point where it gets stuck, and may end as INFEASIBLE.
     """
 
     kind: str
@@ -53,6 +53,6 @@ def dynamics(problem: OCP) -> ca.Function:
 
 
 def named(name: str, inputs: Mapping[str, ca.MX | ca.SX], outputs: Mapping[str, ca.MX | ca.SX]) -> ca.Function:
-    """A function whose inputs and outputs bear names; dense."""
+    """A function with named inputs and outputs; the outputs are dense."""
     dense = [ca.densify(output) for output in outputs.values()]
     return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs))

@@ -1,4 +1,4 @@
-"""The constants of an exported folder: dimensions, and what a new controller starts with."""
+"""The constants of an exported folder: dimensions, and the settings and parameters of a new controller."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _UPPER = PREFIX.upper()
 
 
 def dimensions(problem: OCP) -> dict[str, int]:
-    """By their names in the C configuration."""
+    """Dimensions of a problem, by their names in the C configuration."""
     return {
         "HORIZON": problem.horizon,
         "N_STATES": problem.n_states,

@@ -79,7 +79,7 @@ def _names(inputs: list[ca.MX]) -> dict[str, ca.MX]:
 
 
 def _linearise(problem: OCP) -> tuple[list[ca.MX], ReducedCost, Coefficients, Linearisation]:
-    """U, s0, psi, c, and what is known there."""
+    """Symbols U, s0, psi and c, the reduced cost, its coefficients theta, and its linearisation there."""
     inputs, reduced = list(reduced_symbols(problem)), ReducedCost(problem)
     u, s0, psi, context = inputs
     theta = reduced.cost.coefficients(psi, context)

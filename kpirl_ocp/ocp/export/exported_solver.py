@@ -38,14 +38,14 @@ _MULTIPLIERS = {
 class ExportedSolver:
     """A solver (`Solver`) whose work is done by an exported folder, for the problem that was exported.
 
-    Bounds, and the schedule of an interior-point method, are those of the problem that `solve` is called with. Not for
-    use in several threads at once.
+    Bounds, and for an interior-point method the schedule, are those of the problem that `solve` is called with. Use one
+    object per thread.
     """
 
     def __init__(
         self, folder: str | Path, flags: Sequence[str] = EXPORT_FLAGS_NATIVE, compiler: str | None = None
     ) -> None:
-        """Build, unless the cache has it, and load.
+        """Load the compiled folder; it is built unless the cache has it.
 
         Raises:
             FileError: the folder is no exported controller, or one of another format.
@@ -98,9 +98,9 @@ class ExportedSolver:
         by_actions: ArrayLike,
         guess: Guess = None,
     ) -> tuple[ByParameters, bool]:
-        """Gradients of a function of the plan with these derivatives, and whether they are to be believed.
+        """Gradients of a function of the plan with these derivatives, and whether they can be trusted.
 
-        by_states: (T+1, n_s). by_actions: (T, n_u). guess: what `solve` was called with; gradient descent needs it.
+        by_states: (T+1, n_s). by_actions: (T, n_u). guess: that of the call of `solve`; gradient descent needs it.
         """
         self._use(problem)
         given, kept = self._input(problem, *problem.inputs(s0, psi, context))
@@ -137,7 +137,7 @@ class ExportedSolver:
     def set(self, **settings: Any) -> None:
         """Change settings of `kpirl_mpc_settings`, such as tolerance, barrier or steps.
 
-        Raises ProblemError for a name that is none of them, and for a value that the solver does not take.
+        Raises ProblemError for an unknown name, and for a value that the solver does not accept.
         """
         unknown = sorted(set(settings) - set(SETTINGS))
         if unknown:
@@ -147,11 +147,11 @@ class ExportedSolver:
             try:
                 setattr(current, name, value)
             except (TypeError, ctypes.ArgumentError) as error:
-                raise ProblemError(f"{name} = {value!r} is no value of that setting ({error}).") from error
+                raise ProblemError(f"{name} cannot be {value!r}: {error}.") from error
         self._call("set_settings", self._controller, ctypes.byref(current))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """The folder and the settings. Raises ProblemError under a time limit, whose clock is of this process."""
+        """The folder and the settings. Raises ProblemError with a time limit, whose clock belongs to this process."""
         current = self._settings()
         if current.time_limit > 0:
             raise ProblemError("the clock of a time limit stays in its process: set time_limit=0 before pickling.")
@@ -163,7 +163,7 @@ class ExportedSolver:
 
     @property
     def version(self) -> str:
-        """Of the exported library."""
+        """Version of the exported library."""
         return str(self._function("version")().decode())
 
     @property

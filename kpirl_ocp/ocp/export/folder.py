@@ -42,15 +42,15 @@ def export_c(
     Args:
         problem: becomes C whole; its bounds, and for `Riccati` its schedule, can be changed at run time.
         solver: `Riccati`, `GradientDescent` or `SQP`.
-        directory: made if need be.
+        directory: created if it does not exist.
         prefix: of all names and files.
         psi: (n_psi,) the parameters of a new controller, by default ones. They can be changed at run time.
         examples: pairs of s0 (n_s,) and context (n_c,), by default one of zeros. They are solved in Python, the C test
             compares with them, and the C example starts from the first.
 
     Raises:
-        ProblemError: a solver that cannot be exported, with those that can; a problem that it does not handle, or of
-            which CasADi generates no C; a wrong psi, example or prefix; an example at which it is not finite.
+        ProblemError: a solver that cannot be exported, with those that can; a problem that the solver does not handle,
+            or for which CasADi generates no C; a wrong psi, example or prefix; an example at which it is not finite.
         FileError: the directory holds files of an earlier export that were changed since.
     """
     templates.check_prefix(prefix)

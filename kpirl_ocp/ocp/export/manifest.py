@@ -1,4 +1,4 @@
-"""The manifest of an exported folder: of which problem it is, and which files belong to it."""
+"""The manifest of an exported folder: its problem, solver and files."""
 
 from __future__ import annotations
 

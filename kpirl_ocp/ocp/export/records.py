@@ -33,7 +33,7 @@ class Record:
 
 
 def record(problem: OCP, solver: Solver, psi: Array, s0: ArrayLike, context: ArrayLike) -> Record:
-    """Solve both."""
+    """Solve from s0, then from the next state, for an example of s0 (n_s,) and context (n_c,)."""
     start, psi, goal = problem.inputs(s0, psi, context)
     cold = solver.solve(problem, start, psi, goal)
     after = problem.dynamics(start, cold.actions[0], psi, goal, np.asarray(problem.schedule)[0]).full().ravel()

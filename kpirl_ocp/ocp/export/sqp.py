@@ -1,4 +1,4 @@
-"""CasADi's sqpmethod with qrqp as C: the solver is generated; written by hand are its arguments and its end."""
+"""CasADi's sqpmethod with qrqp as C: the solver is generated, its arguments and its end are written by hand."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kpirl_ocp.ocp.solvers.sqp import SQP, program
 
 
 def target(problem: OCP, solver: SQP) -> Target:
-    """The generated solver, and first derivatives to audit what it found."""
+    """The generated solver, and first derivatives for the audit of its result."""
     transcribed = transcribe(problem)
     places = [*np.flatnonzero(transcribed.live), *len(transcribed.live) + np.arange(transcribed.n_inequalities)]
     rows = f"const int {PREFIX}_exported_rows[] = {{{', '.join(map(str, places))}}};"

@@ -30,7 +30,7 @@ def relu(a: ca.MX) -> tuple[ca.MX, Slopes]:
 
 
 def leaky_relu(a: ca.MX) -> tuple[ca.MX, Slopes]:
-    """The argument where it is positive, a hundredth of it elsewhere (torch's default)."""
+    """The argument where it is positive, a hundredth of it elsewhere (the default of torch)."""
     slope = 0.01 + 0.99 * (a > 0)
     return slope * a, Slopes(slope, None, a)
 
@@ -106,4 +106,4 @@ SCALES: dict[str, tuple[float, float]] = {
     "softplus": (1.0, 0.32),
     "tanh": (1.0, 1.42),
 }
-"""(L, c): of the first three derivatives the largest absolute values are at most L, c L and c^2 L, kinks apart."""
+"""(L, c): away from kinks, the first three derivatives are at most L, c L and c^2 L in absolute value."""

@@ -1,11 +1,11 @@
-"""Learned dynamics on disk: a card `NAME.json` beside the weights `NAME.safetensors`; read without torch.
+"""Learned dynamics on disk: a card `NAME.json` next to the weights `NAME.safetensors`; read without torch.
 
     {"kind": "kpirl_ocp.dynamics", "version": 1,
      "inputs": {"keypoints": 8, "joints": 7, "velocities": 7, "actions": 7},
      "hidden": [100, 25], "activation": "relu", "residual": true, "rate": 5.0, ...}
 
 The tensors are "layers.{i}.weight" (n_out, n_in) and "layers.{i}.bias" (n_out,), and of the normalisation
-"input.mean", "input.scale" (n_in,), "output.mean", "output.scale" (n_z,). Other keys of the card are notes.
+"input.mean", "input.scale" (n_in,), "output.mean", "output.scale" (n_z,). Other keys of the card are only notes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from kpirl_ocp.ocp.models.mlp import MLP
 
 
 def load_dynamics(path: str | Path) -> NetworkDynamics:
-    """The dynamics of a card `NAME.json` and its weights beside it.
+    """The dynamics of a card `NAME.json` and the weights next to it.
 
     Raises:
         ModelError: a file, key or tensor is missing, of the wrong kind, version or shape, or not finite.

@@ -71,7 +71,7 @@ class NetworkDynamics:
         return ca.Function("dynamics", [s, u, psi], [self.successor(s, y, u)])
 
     def successor(self, s: ca.MX, y: ca.MX, u: ca.MX) -> ca.MX:
-        """The next state for the output y of the network, or its change for changes."""
+        """The next state for the output y of the network; linear, so that changes of all three give its change."""
         return self._shift(s) + ca.vertcat(y, self._displacement(u))
 
     def Ft_lambda(self, slopes: list[Slopes], costates: ca.MX) -> ca.MX:
@@ -103,7 +103,7 @@ class NetworkDynamics:
 class LinearisedNetwork:
     """The dynamics at many points: every layer is one matrix product for all of them; see `LinearisedDynamics`.
 
-    psi is not used. Slopes of the activations are computed once, whatever is asked.
+    psi is not used. The slopes of the activations are computed once for all results.
     """
 
     dynamics: NetworkDynamics
@@ -129,7 +129,7 @@ class LinearisedNetwork:
         return by_network + self.dynamics.linear.T @ dcostates
 
     def second(self) -> tuple[ca.Function, list[ca.MX]]:
-        """Of one point: the products that are left when `mlp_hessian.prepare` was done for all points at once."""
+        """At one point, the products that remain after `mlp_hessian.prepare` has run for all points at once."""
         dynamics = self.dynamics
         parts = prepare(dynamics.mlp, self._slopes, self._of_network(self.costates))
         value = ca.MX.sym("f", dynamics.n_states)

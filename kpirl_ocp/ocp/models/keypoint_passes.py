@@ -7,7 +7,7 @@ share of the first layer is known for all times before z is, and
 
 leaves only W_z in the recursion over time; for few trajectories the rest is one matrix product for all times, and the
 same holds for the tangent and, transposed, for the adjoints. For many it stays within the stage, whose products are
-wide enough, and no array (n_1, T B) is moved. The slopes of the activations are remembered by the rollout.
+wide enough, and no array (n_1, T B) is moved. The rollout keeps the slopes of the activations.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class NetworkPasses:
         return clearance(self.dynamics.mlp, moves, nearest)
 
     def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
-        """Changes of the states, of s_0 none."""
+        """Changes of the states; s_0 does not change."""
         zero = ca.MX.zeros(self.dynamics.n_z, self.columns)
         dtheta = self._sum(ca.MX.zeros(self.dynamics.n_joints, self.columns), dU)
         after = scan(self._tangent, zero, [*at.memory, *self._drive_inputs(dtheta, dU)], self.horizon)
@@ -211,7 +211,7 @@ class NetworkPasses:
         return z if self.dynamics.residual else 0.0
 
 
-_WIDE = 4  # so many trajectories fill the tiles of a matrix product by themselves
+_WIDE = 4  # trajectories that fill the tiles of a matrix product by themselves
 
 
 def _add(rows: int, columns: int) -> ca.Function:

@@ -21,7 +21,7 @@ from kpirl_ocp.ocp.models.activations import ACTIVATIONS, SCALES, Slopes
 from kpirl_ocp.types import Array
 
 _TINY = np.finfo(float).tiny
-# Change of a Jacobian, relative to the terms that bound it, that counts as none: certificates flag no smaller one.
+# A change of a Jacobian, relative to the terms that bound it, that is negligible: certificates flag no smaller one.
 _GENTLE = 1e-3
 
 
@@ -182,20 +182,20 @@ def jacobian(mlp: MLP, slopes: Sequence[Slopes]) -> ca.MX:
 
 
 def kinked(slopes: Sequence[Slopes]) -> list[ca.MX]:
-    """The arguments of all activations with a kink at zero (n, B), one below the other; nothing without such."""
+    """The arguments (n, B) of all activations with a kink at zero, below one another; empty where there are none."""
     arguments = [slope.kink for slope in slopes if slope.kink is not None]
     return [ca.vertcat(*arguments)] if arguments else []
 
 
 def clearance(mlp: MLP, moves: ca.MX, nearest: ca.MX) -> ca.MX:
-    """Share of moves (n_in,) of the inputs that is possible before the Jacobian changes by more than a thousandth.
+    """The largest share of moves (n_in,) of the inputs that changes the Jacobian by no more than a thousandth.
 
     A change dx of the input moves no argument by more than
 
         |da_1| <= |W_1| |dx|,    |da_l| <= |W_l| L_{l-1} |da_{l-1}|,
 
-    which has to leave each on its side of a kink, and sum_l c_l max |da_l| <= 1e-3: by so much the Jacobian may change,
-    relative to the product of |W_l| and L_l that bounds it, and one layer's share of a second derivative by twice that.
+    which has to leave each on its side of a kink, and sum_l c_l max |da_l| <= 1e-3: the Jacobian changes by at most
+    that, relative to the product of |W_l| and L_l that bounds it, one layer's share of a second derivative by twice.
 
     Args:
         mlp: with scales L and c of its activations, `SCALES`.
@@ -214,7 +214,7 @@ def clearance(mlp: MLP, moves: ca.MX, nearest: ca.MX) -> ca.MX:
 
 
 def has_kink(name: str) -> bool:
-    """Does sigma' or sigma'' jump anywhere?"""
+    """True if sigma' or sigma'' jumps anywhere."""
     return ACTIVATIONS[name](ca.MX.sym("a"))[1].kink is not None
 
 

@@ -6,7 +6,7 @@ With A_l = da_l/dx, the adjoint eta_l of h_l and w_l = sigma_l''(a_l) eta_l,
 
 A_1 = W_1 is the same everywhere. Its term is linear in w_1, so that the lower triangles for all points are one product
 with the constant products of pairs of columns of W_1: half the arithmetic, at the rate of a matrix-matrix product. At
-one point alone that table is too long to be worth reading, and the term is computed as it stands.
+a single point, reading that table would take longer than computing the term as it stands.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Parts = Sequence["ca.MX | None"]
 def prepare(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> list[ca.MX | None]:
     """The arguments of `second` at B points, for adjoint (n_out, B); None for those without numbers.
 
-    They are the lower triangle of the first layer's term (all of it at one point), sigma_1' .. sigma_L' and w_2 .. w_L.
+    They are the lower triangle of the first layer's term (all of it for B = 1), sigma_1' .. sigma_L' and w_2 .. w_L.
     """
     weights = _weights(mlp, slopes, adjoint)
     low = None if weights[0] is None else _first_term(mlp.weights[0], weights[0])
@@ -79,7 +79,7 @@ def _pairs(weight: Array) -> Array:
 
 
 def _mirrored(n: int) -> list[int]:
-    """For every entry of a symmetric matrix (n, n), column by column, where it stands in its lower triangle."""
+    """For every entry of a symmetric matrix (n, n), column by column, its index in the lower triangle."""
     where = np.zeros((n, n), int)
     where[np.tril_indices(n)] = np.arange(n * (n + 1) // 2)
     return np.maximum(where, where.T).ravel().tolist()

@@ -1,4 +1,4 @@
-"""A pinhole camera in a plan: keypoints of a robot's kinematics as pixels, so that no dynamics need be learned.
+"""A pinhole camera in a plan: keypoints of a robot's kinematics as pixels, where no dynamics have to be learned.
 
 p ~ K (R x + t)
 """
@@ -35,8 +35,8 @@ class Pinhole:
             object.__setattr__(self, name, value)
 
     def project(self, points: ca.SX | ca.DM) -> ca.SX | ca.DM:
-        """Pixels x0 y0 x1 y1 ... (2 K,) of points x0 y0 z0 x1 ... (3 K,) [m]; they must be before the camera."""
+        """Pixels x0 y0 x1 y1 ... (2 K,) of points x0 y0 z0 x1 ... (3 K,) [m]; they must be in front of the camera."""
         points = ca.reshape(points, 3, -1)
-        before = ca.mtimes(ca.DM(self.rotation), points) + ca.repmat(ca.DM(self.translation), 1, points.size2())
-        image = ca.mtimes(ca.DM(self.intrinsics), before)
+        in_camera = ca.mtimes(ca.DM(self.rotation), points) + ca.repmat(ca.DM(self.translation), 1, points.size2())
+        image = ca.mtimes(ca.DM(self.intrinsics), in_camera)
         return ca.vec(image[:2, :] / ca.vertcat(image[2, :], image[2, :]))

@@ -58,7 +58,7 @@ class Robot:
         """Read a URDF; `keypoints` are `Keypoint`s, or a mapping from link name to points (n, 3) [m].
 
         Without keypoints the tool holds an object with three of them, not on one line. The tool is the link that is
-        called so (tool0, tcp, end_effector and the like) or the only one at the end of the joints. Joints that mimic
+        named so (tool0, tcp, end_effector and the like) or the only one at the end of the joints. Joints that mimic
         another one follow it and have no coordinate.
 
         Raises:

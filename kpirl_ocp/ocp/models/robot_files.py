@@ -19,7 +19,7 @@ CONTINUOUS = ("JointModelRUBX", "JointModelRUBY", "JointModelRUBZ", "JointModelR
 PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
 MIMIC = "JointModelMimic"
 
-# Names of tools, the most specific first: those of ROS-Industrial, then what manufacturers call them.
+# Names of tools, the most specific first: those of ROS-Industrial, then those of manufacturers.
 _TOOLS = (r"tool0", r"tcp(_link|_frame)?", r"(ee|eef|end_effector)(_link|_frame)?", r"tool(_link|_frame)?")
 _SENSORS = r"IMU|(?i:(^|[^a-z])(imu|camera|optical|laser|lidar|sensor|rgbd))"
 
@@ -56,7 +56,7 @@ def _has_xacro_elements(path: Path) -> bool:
 
 
 def example_urdf(name: str) -> Path:
-    """The URDF of a robot of the package example-robot-data, found beside Pinocchio (6.0.0 has no Python module).
+    """The URDF of a robot of the package example-robot-data, found next to Pinocchio, as 6.0.0 has no Python module.
 
     Raises:
         DependencyError: the package is not installed.
@@ -82,7 +82,7 @@ def link_names(model: pin.Model) -> list[str]:
 
 
 def tool_link(model: pin.Model) -> str:
-    """The link that holds a tool: called so (tool0, tcp, end_effector, ...), or the only one at the end of the joints.
+    """The link that holds a tool: named so (tool0, tcp, end_effector, ...), or the only one at the end of the joints.
 
     Raises:
         RobotError: there are several, as with two arms, legs or fingers.
@@ -104,7 +104,7 @@ def _the_only(model: pin.Model, names: list[str]) -> str:
 
 
 def _ends(model: pin.Model, names: list[str]) -> list[str]:
-    """The links without another one further out, sensors aside."""
+    """The links beyond which there is no other one, leaving sensors aside."""
     kept = [name for name in names if not re.search(_SENSORS, name)]
     inner = {name for link in kept for name in _links_towards_base(model, link)}
     return [name for name in kept if name not in inner]

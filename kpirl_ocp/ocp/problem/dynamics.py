@@ -1,7 +1,7 @@
 """Derivatives of the dynamics f(s, u, psi), in the two forms that solvers and gradients need.
 
-Dynamics with a known structure, such as a network, can bring derivatives arranged by hand; all others get them from CasADi's
-AD, with the same interface.
+Dynamics with a known structure, such as a network, can bring derivatives arranged by hand; all others get them from
+CasADi's AD, with the same interface.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Collect a data set: play a motion many times, in parallel over processes, and write the recordings.
 
-Episode i depends on the seed and i alone, and is written whole or not at all; an interrupted collection goes on where
-it stopped.
+Episode i depends on the seed and i alone, and is written whole or not at all; an interrupted collection resumes
+where it stopped.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Train the keypoint detector on clips without labels.
 
-Step i draws its batch from the seed and i alone, so that a run that was killed goes on exactly where its last
+Step i draws its batch from the seed and i alone, so that a run that was killed resumes exactly where its last
 checkpoint was written.
 """
 
@@ -106,7 +106,7 @@ def train_detector(
 
     Args:
         start: a trained model of the same architecture to begin with; None for random weights.
-        checkpoint: a file written every hundred steps; if it exists, training goes on from there.
+        checkpoint: a file written every hundred steps; if it exists, training resumes from there.
         device: of torch; "auto" for a GPU where there is one. The model comes back to the CPU.
 
     Raises:

@@ -113,7 +113,7 @@ def train_dynamics(
     """Train on trajectories; gives the model of the best epoch and the curves "train" and "validation" (NMSE).
 
     Args:
-        checkpoint: a file written every ten epochs; if it exists, training goes on from there.
+        checkpoint: a file written every ten epochs; if it exists, training resumes from there.
 
     Raises:
         FileError: the checkpoint is damaged or belongs to another training.

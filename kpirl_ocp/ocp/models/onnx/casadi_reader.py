@@ -1,7 +1,7 @@
 """Any ONNX graph in CasADi, by CasADi's own reader.
 
-Operators that the reader does not know are written as ones it knows; then the numbers of the result are compared with
-those of ONNX's reference implementation, because a reader that takes an axis for another one does not say so.
+Operators that the reader does not know are rewritten as ones it knows. Then results are compared with those of ONNX's
+reference implementation, because a reader that confuses two axes does not say so.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _POINTS = 3
 
 
 def graph_network(graph: Graph) -> GraphNetwork:
-    """The network of a graph. Raises ProblemError for what CasADi's reader does not know, by name."""
+    """The network of a graph. Raises ProblemError, which names operators that CasADi's reader does not know."""
     network = GraphNetwork(_columns(graph, _read(_rewritten(graph))))
     _compare(graph, network)
     return network
@@ -77,7 +77,7 @@ def _compare(graph: Graph, network: GraphNetwork) -> None:
 
 
 def _rewritten(graph: Graph) -> Any:
-    """A copy of the model in which CasADi's reader knows more of the operators."""
+    """A copy of the model with operators rewritten as ones that CasADi's reader knows."""
     onnx: Any = import_module("onnx")
     model = onnx.ModelProto()
     model.CopyFrom(graph.model)
