@@ -6,12 +6,13 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from exported import STRICT, built
 from statements import CASES, DT, GRID, T
 
-from kpirl_ocp import SQP, Riccati, Status
+from kpirl_ocp import OCP, SQP, Riccati, Status
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.ocp.interior_point import library
@@ -137,6 +138,44 @@ def test_a_schedule_is_given_at_run_time():
     changed = ours.solve(even, *arguments)
     assert_same(changed, CONVERGED.solve(even, *arguments))
     assert np.abs(changed.states - ours.solve(problem, *arguments).states).max() > 0.01
+
+
+def test_the_example_moves_its_schedule_on_with_the_periods_where_it_knows_what_follows(tmp_path):
+    """A cost with weights per step: planning again with those of the first step would never come to the later ones."""
+    s, u, d = ca.SX.sym("s", 2), ca.SX.sym("u"), ca.SX.sym("d", 2)  # d: the weights of s and u
+    problem = OCP.from_expressions(
+        state=s, action=u, stage=d, horizon=T, dynamics=s + 0.1 * ca.vertcat(s[1], u),
+        stage_cost=d[0] * (s[0] - 1) ** 2 + d[1] * u**2, terminal_cost=d[0] * (s[0] - 1) ** 2,
+        schedule=np.column_stack([100.0 * (np.arange(T + 1) > T - 2), np.linspace(0.1, 1, T + 1)]),
+    )  # fmt: skip
+    rows = np.tile([0.0, 1.0], (T - 1, 1))
+    out = export_c(problem, CONVERGED, tmp_path, preview=rows)
+    lines = built(out, out / "example/main.c", *STRICT).splitlines()
+    taken = [float(line.split()[-1]) for line in lines if "  ok " in line]
+    plan = CONVERGED.solve(problem, np.zeros(2)).actions.ravel()
+    assert np.ptp(plan) > 0.1
+    np.testing.assert_allclose(taken, plan, rtol=0, atol=5.1e-5)  # it prints four decimals
+
+
+PREVIEWS = {
+    "one column too many": (CONVERGED, np.zeros((3, 3)), r"preview must be rows \(m, 1\).*\(3, 3\)"),
+    "one row alone": (CONVERGED, np.zeros(1), r"rows \(m, 1\)"),
+    "not finite": (CONVERGED, [[np.nan]], "preview must be finite"),
+    "a solver with its schedule compiled in": (SQP(), [[0.1]], "preview is for Riccati: SQP"),
+}
+
+
+@pytest.mark.parametrize("name", PREVIEWS)
+def test_a_preview_that_does_not_fit_is_refused(name, tmp_path):
+    (solver, rows, message), problem = PREVIEWS[name], CASES[SCHEDULED]().problem
+    with pytest.raises(ProblemError, match=message):
+        export_c(problem, solver, tmp_path, preview=rows)
+
+
+def test_a_preview_for_a_problem_without_schedule_is_refused(tmp_path):
+    problem = CASES["states alone"]().problem
+    with pytest.raises(ProblemError, match="has no schedule"):
+        export_c(problem, CONVERGED, tmp_path, preview=np.zeros((3, 0)))
 
 
 def test_a_solver_that_has_its_schedule_compiled_in_refuses_another():

@@ -1,12 +1,13 @@
 """Keypoint problems: the costs against their formula, the time bases against their definition."""
 
 import itertools
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from kpirl_ocp import Ipopt
+from kpirl_ocp import Ipopt, Riccati
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models import (
     RBF,
@@ -148,6 +149,34 @@ def test_initial_takes_one_weight_per_kernel_and_coordinate():
 def test_initial_starts_a_learned_effort_at_the_given_one():
     cost = KeypointCost(Default(), PER_STEP, learn_effort=True, positivity="exp")
     np.testing.assert_allclose(cost.weights(cost.initial(T, N_Z), T, N_Z)[1], cost.effort, rtol=1e-14)
+
+
+REMAINING = {
+    "weights and efforts per step": (KeypointCost(TimeDependent(), PER_STEP), None),
+    "the same, learned": (KeypointCost(TimeDependent(), PER_STEP, learn_effort=True, positivity="softplus"), None),
+    "kernels": (KeypointCost(RBF(3), 0.3), None),
+    "no weights": (KeypointCost(Default(), 0.3), None),
+    "a goal for each step": (KeypointCost(TimeDependent(), 0.3), np.linspace(-0.1, 0, T)[:, None] * np.ones(N_Z)),
+}
+
+
+@pytest.mark.parametrize("name", REMAINING)
+def test_with_the_preview_planning_again_in_every_period_keeps_to_the_first_plan(name):
+    """Bellman: the rest of an optimal plan is optimal for the remaining cost."""
+    cost, goals = REMAINING[name]
+    problem, solver = keypoint_ocp(ROBOT, cost, T, goals=goals), Riccati(1e-11)
+    s0 = keypoint_state(ROBOT, [0.2, -1.0, 1.1, -0.4, 0.6, 0.1])
+    goal, psi = s0[:N_Z] + 0.1, cost.initial(T, N_Z, 3.0)
+    preview = cost.preview(T) if goals is None else np.hstack([cost.preview(T), np.zeros((T - 1, N_Z))])
+    rows = np.vstack([problem.schedule, preview])
+    plan = solver.solve(problem, s0, psi, goal)
+    scale = np.abs(plan.actions).max()
+    assert scale > 0.01
+    for k in range(1, T):
+        remaining = replace(problem, schedule=rows[k : k + T + 1])
+        again = solver.solve(remaining, plan.states[k], psi, goal)
+        rest = np.vstack([plan.actions[k:], np.zeros((k, N_Q))])
+        np.testing.assert_allclose(again.actions, rest, rtol=0, atol=1e-7 * scale)
 
 
 def test_softplus_represents_a_weight_of_a_thousand():

@@ -13,7 +13,7 @@ from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.irl.cases.own import load_own
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.ocp.export import export_c
-from kpirl_ocp.ocp.models import Robot
+from kpirl_ocp.ocp.models import KeypointCost, Robot, TimeDependent
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED
@@ -32,19 +32,24 @@ EXAMPLES = 5
 
 
 class Exported(NamedTuple):
-    """A problem to export: psi (n_psi,), examples of (s0, context), and its default solver."""
+    """A problem to export: psi (n_psi,), examples of (s0, context), and its default solver.
+
+    preview: (m, n_d) rows that follow its schedule; None where they are not known.
+    """
 
     problem: OCP
     psi: Array
     examples: list[tuple[Array, Array]]
     solver: Solver
+    preview: Array | None = None
 
 
 def network(horizon: int, seed: int) -> Exported:
     """The placing problem with random weights; starts and goals are from within its training data."""
     data = placing_case(horizon, steps=20, count=EXAMPLES, seed=seed)
     examples = list(zip(data.s0, data.goal, strict=True))
-    return Exported(data.bounded, data.psi.ravel(), examples, SOLVERS["real-time"])
+    preview = KeypointCost(TimeDependent(), effort=data.effort).preview(horizon)
+    return Exported(data.bounded, data.psi.ravel(), examples, SOLVERS["real-time"], preview)
 
 
 def learned(path: Path, seed: int) -> Exported:
@@ -53,7 +58,7 @@ def learned(path: Path, seed: int) -> Exported:
     cost = cost_of_the_iiwa(path, robot)
     episodes = demonstrate(robot, "placing", EXAMPLES, seed, cost.horizon)
     shown = [as_demonstration(robot, episode) for episode in episodes]
-    return Exported(cost.problem(robot), cost.psi, [(d.s0, d.context) for d in shown], cost.solver)
+    return Exported(cost.problem(robot), cost.psi, [(d.s0, d.context) for d in shown], cost.solver, cost.preview())
 
 
 def own(place: str) -> Exported:
@@ -80,7 +85,10 @@ def main(args: Namespace) -> None:
     problem = exported.problem
     if isinstance(solver, GradientDescent) and not (args.problem or args.cost):  # it knows no joint limits
         problem = replace(problem, state_bounds=UNBOUNDED)
-    folder = export_c(problem, solver, args.out, prefix=args.prefix, psi=exported.psi, examples=exported.examples)
+    preview = exported.preview if isinstance(solver, Riccati) else None  # the others have their schedule compiled in
+    folder = export_c(
+        problem, solver, args.out, prefix=args.prefix, psi=exported.psi, examples=exported.examples, preview=preview
+    )
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     print(f"{folder}: {len(list(folder.rglob('*.c')))} C files, {size / 1e6:.1f} MB\n")
     print(

@@ -176,5 +176,6 @@ def _report(args: Namespace, learned: LearnedCost, runs: list[Executed]) -> None
 
 def _export(folder: Path, learned: LearnedCost, arm: Arm) -> Path:
     s0 = learned.setting.state(arm.robot, arm.start)
-    example = [(s0, learned.goal(s0))]
-    return export_c(learned.problem(arm.robot), learned.solver, folder, psi=learned.psi, examples=example)
+    example, preview = [(s0, learned.goal(s0))], learned.preview()
+    problem = learned.problem(arm.robot)
+    return export_c(problem, learned.solver, folder, psi=learned.psi, examples=example, preview=preview)

@@ -27,6 +27,7 @@ from kpirl_ocp.irl.visual.learning import CONVERGED
 from kpirl_ocp.irl.visual.planning_costs import (
     ArmLimits,
     PlanningCost,
+    all_weights,
     limited_network_ocp,
     read_planning_cost,
     write_planning_cost,
@@ -106,9 +107,16 @@ def imitate(args: Namespace, tracks: Tracks) -> int:
     print(f"figure:  {_draw(args.out / 'paths.png', demonstrations, done or paths)}")
     _report(args, cost, history, planned, executed)
     if args.export:
-        example = [(demonstrations[0].s0, demonstrations[0].context)]
-        print(f"C:       {export_c(controller.problem, CONVERGED, args.out / 'c', psi=cost.psi, examples=example)}")
+        print(f"C:       {_export(args.out / 'c', controller, demonstrations[0])}")
     return 0 if all(distance < 0.1 for distance in executed or planned) else 1
+
+
+def _export(folder: Path, controller: KeypointController, first: Demonstration) -> Path:
+    """The controller as C, with the start and the goal of the first demonstration as its example."""
+    cost = controller.cost
+    preview = all_weights(cost.horizon).preview(cost.horizon)
+    example = [(first.s0, first.context)]
+    return export_c(controller.problem, CONVERGED, folder, psi=cost.psi, examples=example, preview=preview)
 
 
 def plans_from(controller: KeypointController, demonstrations: Sequence[Demonstration]) -> list[Solution]:

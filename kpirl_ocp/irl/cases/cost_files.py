@@ -102,6 +102,11 @@ class LearnedCost:
         problem = self.setting.problem(robot, self.cost, self.horizon, self.goals)
         return problem.unconstrained() if isinstance(self.solver, GradientDescent) else problem
 
+    def preview(self) -> Array:
+        """Rows (T-1, n_d) that follow the schedule of the problem; see `KeypointCost.preview`."""
+        rows = self.cost.preview(self.horizon)
+        return rows if self.goals is None else np.hstack([rows, np.zeros_like(self.goals[1:])])
+
     def goal(self, s0: Array) -> Array:
         """z_goal (n_z,) of the learned displacement from a state s0 (n_s,)."""
         return np.asarray(s0[: len(self.displacement)] + self.displacement, float)

@@ -168,8 +168,12 @@ def _finite(value: float) -> float | None:
 @lru_cache(maxsize=8)
 def planning_problem(dynamics: NetworkDynamics, horizon: int, limits: ArmLimits | None = None) -> OCP:
     """Plan with any `PlanningCost`, within the limits of its arm; context is z_goal (n_z,)."""
-    family = KeypointCost(TimeDependent(), effort=(0.0,) * horizon, learn_effort=True)
-    return limited_network_ocp(dynamics, family, horizon, limits)
+    return limited_network_ocp(dynamics, all_weights(horizon), horizon, limits)
+
+
+def all_weights(horizon: int) -> KeypointCost:
+    """The family of `planning_problem`, whose parameters are the weights and efforts of every step themselves."""
+    return KeypointCost(TimeDependent(), effort=(0.0,) * horizon, learn_effort=True)
 
 
 def limited_network_ocp(

@@ -19,6 +19,8 @@ from kpirl_ocp.ocp.export.records import Record, header, record
 from kpirl_ocp.ocp.export.targets import target_of
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.ocp.problem.statement.checks import numbers
+from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, Status
 
 _FACE = (".h", ".hpp", "_setup.c", "_solve.c", "_controller.h", "_controller.c", "_memory.h", "_dimensions.h")
@@ -36,6 +38,7 @@ def export_c(
     prefix: str = PREFIX,
     psi: ArrayLike | None = None,
     examples: Sequence[tuple[ArrayLike, ArrayLike]] | None = None,
+    preview: ArrayLike | None = None,
 ) -> Path:
     """Write the controller into a directory, and return it. What an earlier export left there is removed.
 
@@ -47,10 +50,13 @@ def export_c(
         psi: (n_psi,) the parameters of a new controller, by default ones. They can be changed at run time.
         examples: pairs of s0 (n_s,) and context (n_c,), by default one of zeros. They are solved in Python, the C test
             compares with them, and the C example starts from the first.
+        preview: (m, n_d) rows that follow the schedule, where they are known. The C example, a closed loop, then has
+            rows k .. k+T in period k; without them it has the same schedule in every period. `Riccati` alone.
 
     Raises:
         ProblemError: a solver that cannot be exported, with those that can; a problem that the solver does not handle,
-            or for which CasADi generates no C; a wrong psi, example or prefix; an example at which it is not finite.
+            or for which CasADi generates no C; a wrong psi, example, preview or prefix; an example at which it is not
+            finite.
         FileError: the directory holds files of an earlier export that were changed since.
     """
     templates.check_prefix(prefix)
@@ -62,6 +68,7 @@ def export_c(
     _check_finite("psi", parameters)
     for pair in pairs:
         _check_finite("an example", *map(np.asarray, pair))
+    periods = _periods(problem, solver, preview)
     files = _sources(problem, solver, target, parameters)
     files |= _around(problem, solver, files)
     core = templates.core_files()  # which does not see the type of that name
@@ -70,7 +77,7 @@ def export_c(
     records = [record(problem, solver, parameters, *pair) for pair in pairs]
     for each in records:
         _check_solved(each)
-    files["test/records.h"] = header(records, target)
+    files["test/records.h"] = header(records, target, periods)
 
     files = {templates.renamed(name, prefix): templates.renamed(text, prefix) for name, text in files.items()}
     out = Path(directory)
@@ -78,6 +85,22 @@ def export_c(
     files[manifest.NAME] = manifest.write(problem, solver, target, prefix, parameters, files)
     _write(out, files)
     return out
+
+
+def _periods(problem: OCP, solver: Solver, preview: ArrayLike | None) -> Array:
+    """The schedule and what follows it (T+1+m, n_d)."""
+    schedule = np.asarray(problem.schedule, float)
+    if preview is None:
+        return schedule
+    if not schedule.size:
+        raise ProblemError("preview has rows that follow the schedule, and the problem has no schedule.")
+    rows = numbers("preview", preview)
+    if rows.ndim != 2 or rows.shape[1] != schedule.shape[1]:
+        raise ProblemError(f"preview must be rows (m, {schedule.shape[1]}) of the schedule, got shape {rows.shape}.")
+    if not isinstance(solver, Riccati):
+        raise ProblemError(f"preview is for Riccati: {type(solver).__name__} has its schedule compiled in.")
+    _check_finite("preview", rows)
+    return np.vstack([schedule, rows])
 
 
 def _check_finite(what: str, *arrays: Array) -> None:

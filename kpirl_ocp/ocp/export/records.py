@@ -42,8 +42,8 @@ def record(problem: OCP, solver: Solver, psi: Array, s0: ArrayLike, context: Arr
     return Record(start, goal, after, cold, solver.solve(problem, after, psi, goal, guess=cold))
 
 
-def header(records: Sequence[Record], target: Target) -> str:
-    """The records as constants of the C test."""
+def header(records: Sequence[Record], target: Target, periods: Array) -> str:
+    """The records as constants of the C test; periods: (T+1+m, n_d), the schedule and m rows that follow it."""
     arrays = {
         "state": [r.s0 for r in records],
         "context": [r.context for r in records],
@@ -62,7 +62,12 @@ def header(records: Sequence[Record], target: Target) -> str:
     for key, solutions in (("cold", [r.cold for r in records]), ("warm", [r.warm for r in records])):
         rows = ", ".join(f"{{{code(s, target)}, {s.iterations}}}" for s in solutions)
         lines.append(f"/* status, iterations */\nstatic const int {name}_{key}[{len(records)}][2] = {{{rows}}};\n")
-    uses = " + ".join(f"(int)sizeof {name}_{key}" for key in (*arrays, "cold", "warm"))
+    rows = ",\n".join(f"  {numbers(row)}" for row in periods)
+    kind = f"static const {PREFIX}_real {name}_schedule[{len(periods)}][{max(periods.shape[1], 1)}]"
+    lines.append(
+        f"/* The schedule, and what follows it: period k has the rows from row k on. */\n{kind} = {{\n{rows}}};\n"
+    )
+    uses = " + ".join(f"(int)sizeof {name}_{key}" for key in (*arrays, "cold", "warm", "schedule"))
     lines.append(f"/* A file may use some of them only. */\nenum {{ {name}_bytes = {uses} }};\n")
     return "\n".join([*lines, "#endif\n"])
 

@@ -123,7 +123,17 @@ class KeypointCost:
         basis = self.basis.matrix(horizon)  # (T, J)
         columns = basis if basis.shape[1] else np.ones((horizon, 1))
         effort = self._effort_basis(horizon)  # (T, 1), or (T, T) when learned per step
-        return np.hstack([np.vstack([np.zeros_like(columns[:1]), columns]), np.vstack([effort, 0 * effort[:1]])])
+        return np.hstack([np.vstack([np.zeros_like(columns[:1]), columns]), np.vstack([effort, effort[-1:]])])
+
+    def preview(self, horizon: int) -> Array:
+        """Rows (T-1, n_d) that follow the schedule: no weights, and the effort of the last step.
+
+        Of both together, rows k .. k+T are the schedule of what remains of a task after k steps. The rest of an optimal
+        plan is optimal for it (Bellman), so that planning again in every period leads where the first plan does.
+        """
+        rest = self.schedule(horizon)[-1:]
+        n_weights = max(self.basis.matrix(horizon).shape[1], 1)
+        return np.repeat(np.hstack([0 * rest[:, :n_weights], rest[:, n_weights:]]), horizon - 1, axis=0)
 
     def stage_cost(self, z: ca.SX, u: ca.SX, psi: ca.SX, goal: ca.SX, stage: ca.SX) -> ca.SX:
         """The cost of one stage as a scalar expression.

@@ -17,6 +17,7 @@ int main(void) {
   kpirl_mpc_input input = {.state = state, .context = kpirl_mpc_record_context[0]};
   kpirl_mpc_guess guess;
   int period, i;
+  const int follows = (int)(sizeof kpirl_mpc_record_schedule / sizeof *kpirl_mpc_record_schedule) - KPIRL_MPC_HORIZON - 1;
 
   if (kpirl_mpc_init(&mpc, &memory, sizeof memory) < 0) return 1;
   printf("%s\n%zu bytes of memory\n\nstep  status      iterations  objective      actions\n", kpirl_mpc_version(),
@@ -24,6 +25,7 @@ int main(void) {
   memcpy(state, kpirl_mpc_record_state[0], sizeof state);
   for (period = 0; period < KPIRL_MPC_HORIZON; ++period) {
     kpirl_mpc_status status;
+    if (follows > 0) input.schedule = kpirl_mpc_record_schedule[period < follows ? period : follows];
     if (period > 0) {
       if (kpirl_mpc_shift(mpc, &input, &plan) != KPIRL_MPC_CONVERGED) return 1;
       guess = kpirl_mpc_resume(&plan);
