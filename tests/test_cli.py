@@ -102,6 +102,16 @@ def unseen():
     return pendulum()[0], pendulum()[1] | {"observations": np.full((26, 2), np.nan)}
 '''
 
+OBJECTS = """
+import casadi as ca
+from kpirl_ocp import OCP
+
+s, u, psi = ca.SX.sym("s", 4), ca.SX.sym("u"), ca.SX.sym("psi", 2)
+problem = OCP.from_expressions(
+    state=s, action=u, parameters=psi, dynamics=s + u, stage_cost=psi[0] * u**2 + psi[1] * s[0]**2, horizon=3)
+pair = problem, {"s0": [0] * 4, "psi": [1, 1]}
+"""
+
 KPIRL = [sys.executable, str(Path(kpirl_ocp.__file__).with_name("cli"))]  # -m: of the working directory
 
 
@@ -194,11 +204,18 @@ WRONG = {  # words, beginning of the sentence
     "solve --config nowhere.yaml": "--config: there is no file 'nowhere.yaml'.",
     "solve own.py": "FILE.py:FUNCTION: expected FILE.py:FUNCTION, got 'own.py'.",
     "solve nowhere.py:f": "FILE.py:FUNCTION: there is no file 'nowhere.py'.",
-    "solve own.py:f": "own.py has no function 'f'.",
+    "solve own.py:f": "own.py has no function 'f'; it has pendulum, ",
+    "solve own.py:pendulun": "own.py has no function 'pendulun': did you mean 'pendulum'?",
+    "solve objects.py:f": "objects.py has no function 'f'; it has none.",
+    "solve objects.py:problem": "objects.py: 'problem' is an OCP, not a function. Write one that returns it with your "
+    'numbers, such as `def start(): return problem, {"s0": [0] * 4, "psi": [0, 0]}`, and give objects.py:start.',
+    "solve objects.py:pair": "objects.py: 'pair' is not a function, but of type tuple. Give a function; it must return "
+    "an OCP and a dictionary with its numbers.",
     "solve own.py:without_start": "own.py:without_start: the numbers have no 's0', which must be of shape (2,).",
     "solve own.py:misspelt": "own.py:misspelt: no number is called 'contxt': did you mean 'context'?",
     "solve own.py:too_short": "own.py:too_short: psi must be finite and of shape (2,), got [0.8].",
-    "solve own.py:alone": "own.py:alone: it must return an OCP and a dictionary with its numbers, not OCP.",
+    "solve own.py:alone": "own.py:alone: it must return an OCP and a dictionary with its numbers, not OCP, "
+    'such as `return problem, {"s0": [0, 0], "psi": [0, 0]}`.',
     "solve own.py:broken": "own.py:broken raised ZeroDivisionError: division by zero (line 40 of own.py)",
     "solve own.py:exits": "own.py:exits raised SystemExit (line 43 of own.py)",
     "solve own.py:wants": "own.py:wants raised TypeError: wants() missing 1 required positional argument: 'something'.",
@@ -258,7 +275,7 @@ WRONG = {  # words, beginning of the sentence
     "compare own.py:pendulum": "own.py:pendulum: a hypergradient needs parameters psi, and the observations",
     "compare own.py:unseen": "own.py:unseen: observations must be finite and of shape (26, 2), got array([[nan,",
     "compare own.py:explained": "the gradient is zero, as psi explains the observations: give another psi, or others.",
-    "compare own.py:f": "own.py has no function 'f'.",
+    "compare own.py:f": "own.py has no function 'f'; it has pendulum, ",
     "export own.py:undefined": "the example with s0 = [0.0] meets NaN or infinity: check dynamics, costs, constraints",
     "export --horizon 0": f"--horizon: {WHOLE} 1, got '0'.",
     "export --cost nowhere": "--cost: there is no file 'nowhere'.",
@@ -299,6 +316,7 @@ def test_wrong_input_is_one_sentence(words, own, monkeypatch, capsys):
     (own.parent / "list.json").write_text("[]")
     (own.parent / "visual.json").write_text('{"kind": "kpirl_ocp.visual_cost"}')
     (own.parent / "unfinished.py").write_text("f(\n")
+    (own.parent / "objects.py").write_text(OBJECTS)
     (own.parent / "bytes").write_bytes(b"{}\xff" + bytes(5000))
     assert refusal(words.split(), capsys).startswith(WRONG[words])
 

@@ -1,6 +1,7 @@
 """Networks as people have them: the numbers of torch, whichever way they come."""
 
 import copy
+import logging
 
 import casadi as ca
 import numpy as np
@@ -94,6 +95,28 @@ def batch_norm(*after):
     return around(*after, layer, nn.ReLU())
 
 
+class Value(nn.Module):
+    """One number, of shape (1,)."""
+
+    def __init__(self):
+        super().__init__()
+        self.net = nn.Linear(5, 1)
+
+    def forward(self, x):
+        return self.net(x).squeeze(-1)
+
+
+class Cell(nn.Module):
+    """One step of a recurrent network: input (2,) and state (3,) to the next state."""
+
+    def __init__(self):
+        super().__init__()
+        self.cell = nn.GRUCell(2, 3)
+
+    def forward(self, x):
+        return self.cell(x[:, :2], x[:, 2:])
+
+
 CHAINS = {  # each becomes an MLP
     "linear": lambda: nn.Linear(5, 4),
     "ReLU": lambda: around(nn.ReLU()),
@@ -128,6 +151,8 @@ GRAPHS = {  # these go through CasADi's reader
     "BatchNorm and GELU": lambda: around(nn.GELU(), nn.BatchNorm1d(WIDTH)),
     "RMSNorm": lambda: around(nn.RMSNorm(WIDTH)),
     "Softmax": lambda: around(nn.Softmax(dim=-1)),
+    "a value without an axis": Value,
+    "GRUCell": Cell,
 }
 WITHOUT_OLD_EXPORTER = {"RMSNorm"}  # torch's TorchScript exporter does not know it
 
@@ -184,10 +209,98 @@ def test_a_torch_module_keeps_its_numbers_to_rounding(name):
     assert all(torch.equal(value, before[key]) for key, value in module.state_dict().items())
 
 
-def test_a_module_that_torch_cannot_run_is_refused_with_its_reason():
+class Recurrent(nn.Module):
+    """A recurrent network of one step."""
+
+    def __init__(self):
+        super().__init__()
+        self.gru = nn.GRU(3, WIDTH, batch_first=True)
+
+    def forward(self, x):
+        return self.gru(x[:, None])[0][:, -1]
+
+
+class Branching(nn.Module):
+    """Another function on each side of x_0 = 0."""
+
+    def forward(self, x):
+        return x if x[0, 0] > 0 else -x
+
+
+class Convolution(nn.Module):
+    """A row of numbers as a signal of one channel."""
+
+    def __init__(self):
+        super().__init__()
+        self.conv = nn.Conv1d(1, 2, 3)
+
+    def forward(self, x):
+        return self.conv(x[:, None]).flatten(1)
+
+
+LENGTHS = "from_torch needs the length of every input of forward, whole numbers of at least 1"
+NOT_READ = "the graph is no chain of layers, and CasADi cannot read it: "
+REFUSED_MODULES = {  # a module, lengths, the beginning of the sentence
+    "wrong length": (
+        lambda: nn.Sequential(nn.Linear(5, 4)),
+        (3,),
+        "Sequential does not run on float64 zeros of (1, 3): RuntimeError: mat1 and mat2 shapes cannot be multiplied "
+        "(1x3 and 5x4). from_torch needs the length of every input of its forward.",
+    ),
+    "wrong number of inputs": (
+        lambda: nn.Linear(5, 4),
+        (4, 1),
+        "Linear does not run on float64 zeros of (1, 4), (1, 1): TypeError: ",
+    ),
+    "no length": (lambda: nn.Linear(5, 4), (), f"{LENGTHS}, as in from_torch(module, 2, 1)"),
+    "a length that is no whole number": (lambda: nn.Linear(5, 4), (5.0,), LENGTHS),
+    "a negative length": (lambda: nn.Linear(5, 4), (-5,), LENGTHS),
+    "a shape for a length": (lambda: nn.Linear(5, 4), ((1, 5),), LENGTHS),
+    "a class": (
+        lambda: Recurrent,
+        (3,),
+        "from_torch needs a torch.nn.Module with its weights, got the class Recurrent.",
+    ),
+    "a state_dict": (lambda: nn.Linear(5, 4).state_dict(), (5,), "from_torch needs a torch.nn.Module with its weights"),
+    "two tensors": (
+        lambda: nn.LSTMCell(3, 4),
+        (3,),
+        "the forward of LSTMCell must return one tensor (1, n_out), got tuple: wrap it in a module that returns",
+    ),
+    "a branch": (Branching, (3,), "torch runs Branching, but cannot export it: GuardOnDataDependentSymNode: "),
+    "GRU over a sequence": (
+        Recurrent,
+        (3,),
+        f"Recurrent: {NOT_READ}Unsupported operation 'GRU'. Write one step of it with nn.GRUCell, nn.LSTMCell or "
+        "nn.RNNCell, whose state is an input and an output.",
+    ),
+    "convolution": (
+        Convolution,
+        (5,),
+        f"Convolution: {NOT_READ}Unsupported operation 'Conv'. It has values of 3 axes: write it with values of the "
+        "shape (1, n).",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED_MODULES)
+def test_a_module_that_cannot_be_read_is_refused_in_one_sentence_without_logs(case, capfd):
     pytest.importorskip("onnxscript")
-    with pytest.raises(ModelError, match=r"torch cannot export Linear for inputs of the lengths \(3,\)"):
+    module, sizes, sentence = REFUSED_MODULES[case]
+    with pytest.raises(ModelError) as refused:
+        from_torch(module(), *sizes)
+    assert str(refused.value).startswith(sentence)
+    assert len(str(refused.value)) < 400
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_logs_of_others_are_shown_after_an_export(caplog):
+    with pytest.raises(ModelError):
         from_torch(nn.Linear(5, 4), 3)
+    logging.getLogger("of the user").warning("seen")
+    assert caplog.messages == ["seen"]
+    assert logging.root.manager.disable == logging.NOTSET
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -6,9 +6,11 @@ import contextlib
 import importlib.util
 import sys
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from inspect import isfunction
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -48,9 +50,7 @@ def load_own(place: str) -> OwnProblem:
     """
     path, _, name = place.rpartition(":")
     with _neighbours(Path(path)):
-        function = getattr(_module(Path(path)), name, None)
-        if not callable(function):
-            raise ProblemError(f"{path} has no function {name!r}.")
+        function = _function(path, _module(Path(path)), name)
         try:
             returned = function()
         except (Exception, SystemExit) as error:
@@ -70,7 +70,7 @@ def _neighbours(path: Path) -> Iterator[None]:
             sys.path.remove(folder)
 
 
-def _module(path: Path) -> Any:
+def _module(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(f"kpirl_own.{path.stem}", path)  # else numpy.py would be numpy
     if spec is None or spec.loader is None or not path.is_file():
         raise FileError(f"there is no Python file {path}.")
@@ -81,6 +81,31 @@ def _module(path: Path) -> Any:
     except (Exception, SystemExit) as error:
         raise ProblemError(_raised(str(path), path, error)) from error
     return module
+
+
+def _function(path: str, module: ModuleType, name: str) -> Callable[[], object]:
+    found = getattr(module, name, None)
+    if callable(found):
+        return found
+    if isinstance(found, OCP):
+        raise ProblemError(
+            f"{path}: {name!r} is an OCP, not a function. Write one that returns it with your numbers, such as "
+            f"`def start(): return {name}, {_numbers(found)}`, and give {path}:start."
+        )
+    if found is not None:
+        raise ProblemError(
+            f"{path}: {name!r} is not a function, but of type {type(found).__name__}. Give a function; {_EXPECTED}."
+        )
+    own = [key for key, value in vars(module).items() if isfunction(value) and value.__module__ == module.__name__]
+    there = f"; it has {', '.join(own)}." if own else "; it has none."
+    raise ProblemError(f"{path} has no function {name!r}{suggestion(name, own) or there}")
+
+
+def _numbers(problem: OCP) -> str:
+    """The dictionary that belongs to a problem, with zeros for numbers."""
+    lengths = {"s0": problem.n_states, "psi": problem.n_parameters, "context": problem.n_context}
+    zeros = (f'"{name}": {[0] * n if n < 4 else f"[0] * {n}"}' for name, n in lengths.items() if n)
+    return f"{{{', '.join(zeros)}}}"
 
 
 def _raised(place: str, path: Path, error: BaseException) -> str:
@@ -95,7 +120,8 @@ def _raised(place: str, path: Path, error: BaseException) -> str:
 
 def _checked(place: str, returned: object) -> OwnProblem:
     if not (isinstance(returned, tuple) and len(returned) == 2):
-        raise ProblemError(f"{place}: {_EXPECTED}, not {type(returned).__name__}.")
+        instead = f", such as `return problem, {_numbers(returned)}`" if isinstance(returned, OCP) else ""
+        raise ProblemError(f"{place}: {_EXPECTED}, not {type(returned).__name__}{instead}.")
     problem, numbers = returned
     if not (isinstance(problem, OCP) and isinstance(numbers, Mapping)):
         raise ProblemError(f"{place}: {_EXPECTED}, not {type(problem).__name__} and {type(numbers).__name__}.")

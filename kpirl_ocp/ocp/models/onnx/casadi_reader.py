@@ -6,6 +6,8 @@ reference implementation, because a reader that confuses two axes does not say s
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 import tempfile
 from collections.abc import Callable
@@ -27,7 +29,13 @@ _POINTS = 3
 
 def graph_network(graph: Graph) -> GraphNetwork:
     """The network of a graph. Raises ProblemError, which names operators that CasADi's reader does not know."""
-    network = GraphNetwork(_columns(graph, _read(_rewritten(graph))))
+    try:
+        function = _read(_rewritten(graph))
+    except RuntimeError as error:
+        raise ProblemError(
+            f"the graph is no chain of layers, and CasADi cannot read it: {_reason(error)}{_advice(graph)}"
+        ) from None
+    network = GraphNetwork(_columns(graph, function))
     _compare(graph, network)
     return network
 
@@ -37,17 +45,23 @@ def _read(model: Any) -> ca.Function:
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "network.onnx"
         onnx.save(model, str(path))
-        try:
+        with contextlib.redirect_stderr(io.StringIO()):  # warnings of what the comparison would find
             return ca.GraphBuilder(str(path), {}).create("network", {"symbolic": True})
-        except RuntimeError as error:
-            raise ProblemError(
-                f"the graph is no chain of layers, and CasADi cannot read it: {_reason(error)}"
-            ) from None
 
 
 def _reason(error: RuntimeError) -> str:
     """The last line of CasADi's message, without the place in its sources."""
-    return re.sub(r"^\S+\.[ch]pp:\d+: ", "", str(error).strip().splitlines()[-1])
+    return re.sub(r"^\S+\.[ch]pp:\d+: ", "", str(error).strip().splitlines()[-1]).rstrip(".")
+
+
+def _advice(graph: Graph) -> str:
+    """A sentence for graphs that can be stated in another way, or nothing."""
+    if any(node.kind in ("GRU", "LSTM", "RNN") for node in graph.nodes):
+        return (
+            ". Write one step of it with nn.GRUCell, nn.LSTMCell or nn.RNNCell, whose state is an input and an output."
+        )
+    most = max(map(len, graph.shapes.values()))
+    return "" if most < 3 else f". It has values of {most} axes: write it with values of the shape (1, n)."
 
 
 def _columns(graph: Graph, function: ca.Function) -> ca.Function:
@@ -65,10 +79,12 @@ def _compare(graph: Graph, network: GraphNetwork) -> None:
     rng = np.random.default_rng(0)
     for _ in range(_POINTS):
         given = {n: rng.normal(size=graph.shapes[n]).astype(to_numpy(kinds[n])) for n in graph.inputs}
-        expected = np.ravel(reference.run(None, given)[0])
+        with np.errstate(all="ignore"):  # a logarithm of what is below zero is NaN in both
+            expected = np.ravel(reference.run(None, given)[0])
+        largest = np.abs(expected[np.isfinite(expected)]).max(initial=0.0)
         found = network.function(*(np.ravel(x).astype(float) for x in given.values())).full().ravel()
         if found.shape != expected.shape or not np.allclose(
-            found, expected, rtol=0, atol=_AGREEMENT * (1 + np.abs(expected).max()), equal_nan=True
+            found, expected, rtol=0, atol=_AGREEMENT * (1 + largest), equal_nan=True
         ):
             raise ProblemError(
                 "CasADi reads this graph with other numbers than ONNX's reference. "
@@ -191,10 +207,18 @@ def _check_last_axis(writer: _Writer, node: Node, axis: int) -> None:
         raise ProblemError(f"{node.kind} along axis {axis} is not supported, only along the last one.")
 
 
+def _squeeze(writer: _Writer, node: Node) -> None:
+    shape = writer.graph.shapes.get(node.outputs[0])
+    if shape is None:
+        raise ProblemError(f"the shape of {node.outputs[0]!r} is not known.")
+    writer.put("Reshape", [node.inputs[0], writer.constant(np.array(shape, np.int64))], node.outputs[0])
+
+
 _REWRITES: dict[str, Callable[[_Writer, Node], None]] = {
     "BatchNormalization": _batch_normalization,
     "LayerNormalization": _layer_normalization,
     "RMSNormalization": _rms_normalization,
     "ReduceMean": _reduce_mean,
     "Softmax": _softmax,
+    "Squeeze": _squeeze,
 }

@@ -29,16 +29,21 @@ def load_onnx(path: str | Path) -> MLP | GraphNetwork:
             reader knows; it names the operator.
     """
     try:
+        return read_network(Path(path))
+    except ProblemError as error:
+        raise ModelError(f"{path}: {error}") from error
+
+
+def read_network(path: Path) -> MLP | GraphNetwork:
+    """The same; what is wrong with the graph is a ProblemError that does not name the file."""
+    try:
         onnx: Any = import_module("onnx")
     except ImportError as error:
         raise DependencyError("reading ONNX files needs the package onnx: pip install onnx.") from error
     try:
-        check_file(Path(path))
+        check_file(path)
         model = onnx.load(str(path))
     except Exception as error:  # of onnx, protobuf or the file system
         raise ModelError(f"{path} cannot be read as ONNX: {error}") from error
-    try:
-        graph = Graph.of_model(model)
-        return chain(graph) or graph_network(graph)
-    except ProblemError as error:
-        raise ModelError(f"{path}: {error}") from error
+    graph = Graph.of_model(model)
+    return chain(graph) or graph_network(graph)
