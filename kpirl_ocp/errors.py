@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 def suggestion(word: str, known: Iterable[str]) -> str:
     """For messages: ": did you mean X?" with the nearest of the known names, in capitals or not, or nothing."""
-    names = {name.casefold(): name for name in known}
-    near = difflib.get_close_matches(word.casefold(), names, n=1)
+    names = {name.casefold().lstrip("-"): name for name in known}
+    near = difflib.get_close_matches(word.casefold().lstrip("-"), names, n=1)
     return f": did you mean {names[near[0]]!r}?" if near else ""
 
 

@@ -246,7 +246,8 @@ WRONG = {  # words, beginning of the sentence
     "learn --train 0": f"--train: {WHOLE} 1, got '0'.",
     "learn --train 100000000": f"--train: {MOST} 10000, got '100000000'.",
     "demonstrate --tests 100000000": f"--tests: {MOST} 10000, got '100000000'.",
-    "learn --steps -1": f"--steps: {WHOLE} 0, got '-1'.",
+    "learn --iterations -1": f"--iterations: {WHOLE} 0, got '-1'.",
+    "demonstrate --iterations 5": "there is no option --iterations",
     "learn --inner-steps 0": f"--inner-steps: {WHOLE} 1, got '0'.",
     "learn --step-size 0": "--step-size: expected a finite number above 0, got '0'.",
     "learn --learning-rate nan": "--learning-rate: expected a finite number above 0, got 'nan'.",
@@ -577,7 +578,7 @@ def test_required_options_may_come_from_a_file(tmp_path, monkeypatch, capsys):
     assert refusal(["collect", "--config", "config.yaml"], capsys).startswith("--config: config.yaml: --jobs: expected")
 
 
-@pytest.mark.parametrize("words", ["solve --horizon 3", "learn --steps 2 --train 1", "demonstrate --tests 0"])
+@pytest.mark.parametrize("words", ["solve --horizon 3", "learn --iterations 2 --train 1", "demonstrate --tests 0"])
 def test_quiet_prints_nothing(words, tmp_path):
     result = kpirl(*words.split(), "--quiet", "--out", tmp_path)
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
@@ -625,7 +626,7 @@ SIGNALS = pytest.mark.parametrize(
 
 @SIGNALS
 def test_interrupted_learning_keeps_the_best_cost(by, to, tmp_path):
-    words = ["learn", "--steps", "1000000", "--task", "reaching"]
+    words = ["learn", "--iterations", "1000000", "--task", "reaching"]
     code, (line,) = interrupted(words, tmp_path, b"best=", by, to)
     assert code == 130
     pattern = rf"interrupted: the best cost of (\d+) iterations is in {tmp_path}/cost.json; the same command resumes."
@@ -633,7 +634,7 @@ def test_interrupted_learning_keeps_the_best_cost(by, to, tmp_path):
     results = json.loads((tmp_path / "metrics.json").read_text())["results"]
     assert json.loads((tmp_path / "cost.json").read_text())["psi"] == results["psi"]
     assert yaml.safe_load((tmp_path / "config.yaml").read_text())["task"] == "reaching"
-    again = kpirl("learn", "--steps", taken + 2, "--task", "reaching", "--out", tmp_path)
+    again = kpirl("learn", "--iterations", taken + 2, "--task", "reaching", "--out", tmp_path)
     assert again.returncode == 0, again.stderr
     losses = json.loads((tmp_path / "metrics.json").read_text())["results"]["training_losses"]
     assert losses[: taken + 1] == results["training_losses"]

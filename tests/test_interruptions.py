@@ -28,7 +28,7 @@ from kpirl_ocp.ocp.export import ExportedSolver, export_c
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 C, NOTHING = "kpirl_ocp.cli.commands.", "nothing was saved"
 CHECKPOINT = r"the last checkpoint is {out}/checkpoint.safetensors; the same command resumes"
-LEARN = "learn --demonstrations {demos} --steps 2"
+LEARN = "learn --demonstrations {demos} --iterations 2"
 VIDEO = "learn-video {film} --box 54,74,106,126 --scale 0.4 --steps 5"
 KEYPOINTS = "train-keypoints --data {keypoints} --preset tiny --threads 1 --steps"
 ROBUST = "train-robust --teacher {detector} --clips 0.005 --steps 2 --batch 4 --threads 1"
@@ -84,7 +84,7 @@ def made(tmp_path_factory):
     base = tmp_path_factory.mktemp("made")
     words = {
         "demos": ("demonstrate --tests 1 --horizon 5", ""),
-        "cost": ("learn --demonstrations {demos} --steps 1", "cost.json"),
+        "cost": ("learn --demonstrations {demos} --iterations 1", "cost.json"),
         "keypoints": ("collect keypoints --frames 6 --episodes 2 --jobs 1", ""),
         "sines": ("collect sines --steps 6 --episodes 3 --jobs 1", ""),
         "detector": (f"{KEYPOINTS} 1", "rejected.json"),

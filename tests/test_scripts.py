@@ -24,7 +24,7 @@ SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))
 # One tiny run of each script; {demos} and {cost} come from the first two.
 TINY = {
     "make_demonstrations.py": ["--tests", "2", "--horizon", "6"],
-    "learn_cost.py": ["--demonstrations", "{demos}", "--steps", "3"],
+    "learn_cost.py": ["--demonstrations", "{demos}", "--iterations", "3"],
     "evaluate.py": ["--demonstrations", "{demos}", "--cost", "{cost}"],
     "solve_ocp.py": ["--robot", "panda", "--horizon", "4"],
     "compare_hypergradients.py": ["--problem", "lqr", "--steps", "1", "20", "--iterations", "3"],
@@ -91,7 +91,7 @@ def test_a_tiny_run_writes_its_numbers_and_a_figure(script, inputs, tmp_path):
 @pytest.mark.parametrize("method", ["unrolled", "implicit"])
 @pytest.mark.parametrize("cost", ["weighted", "time", "rbf"])
 def test_every_cost_can_be_learned_by_every_method(method, cost, inputs, tmp_path):
-    arguments = ["--demonstrations", str(inputs["demos"]), "--method", method, "--cost", cost, "--steps", "4"]
+    arguments = ["--demonstrations", str(inputs["demos"]), "--method", method, "--cost", cost, "--iterations", "4"]
     result = call("learn_cost.py", *arguments, "--out", str(tmp_path))
     assert result.returncode == 0, result.stderr
     losses = json.loads((tmp_path / "metrics.json").read_text())["results"]["training_losses"]
@@ -100,7 +100,7 @@ def test_every_cost_can_be_learned_by_every_method(method, cost, inputs, tmp_pat
 
 
 def test_a_cost_can_be_learned_from_two_demonstrations_and_needs_one_more_for_testing(inputs, tmp_path):
-    base = ["--demonstrations", str(inputs["demos"]), "--steps", "2", "--out", str(tmp_path)]
+    base = ["--demonstrations", str(inputs["demos"]), "--iterations", "2", "--out", str(tmp_path)]
     assert call("learn_cost.py", *base, "--train", "2").returncode == 0
     result = call("learn_cost.py", *base, "--train", "3")
     assert result.returncode == 2

@@ -39,7 +39,7 @@ def measure(preset: Preset) -> Part:
 def _learn(method: str, scratch: Path) -> Numbers:
     """One outer iteration in a process of its own. Raises RuntimeError, with what it said, if the script fails."""
     result = scratch / "result.json"
-    arguments = ["--task", "placing", "--method", method, "--steps", "1", "--out", str(scratch / "out")]
+    arguments = ["--task", "placing", "--method", method, "--iterations", "1", "--out", str(scratch / "out")]
     command = [sys.executable, str(_TIMED), str(result), str(_SCRIPT), *arguments]
     environment = os.environ | {"XDG_CACHE_HOME": str(scratch / "cache")}
     started = time.perf_counter()

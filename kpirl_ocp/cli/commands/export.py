@@ -29,6 +29,11 @@ SOLVERS: dict[str, Solver] = {
     "sqp": SQP(),
 }
 EXAMPLES = 5
+_OF_STEPS = (
+    "The cost was learned for {} gradient steps from no action: follow the plan that they find. Steps from a plan, as "
+    "in the closed loop of the example, go farther than what was learned. For a controller learn with --method "
+    "implicit.\n"
+)
 
 
 class Exported(NamedTuple):
@@ -91,6 +96,8 @@ def main(args: Namespace) -> None:
     )
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     print(f"{folder}: {len(list(folder.rglob('*.c')))} C files, {size / 1e6:.1f} MB\n")
+    if args.cost and isinstance(solver, GradientDescent):
+        print(_OF_STEPS.format(solver.steps))
     print(
         f"cmake -S {folder} -B {folder}/build && cmake --build {folder}/build && ctest --test-dir {folder}/build && "
         f"{folder}/build/{args.prefix}_example"

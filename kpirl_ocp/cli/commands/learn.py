@@ -70,7 +70,7 @@ def learn_from(args: Namespace, start: LearnedCost, problem: OCP, train: list[De
     """Learn and write the best cost, also if interrupted; the same command resumes from the checkpoint."""
     method = Unrolled(start.solver) if isinstance(start.solver, GradientDescent) else Implicit(start.solver)
     checkpoint, path = args.out / CHECKPOINT, args.out / "cost.json"
-    result = learn(problem, train, start.psi, method, optimiser(args), args.steps, checkpoint=checkpoint)
+    result = learn(problem, train, start.psi, method, optimiser(args), args.iterations, checkpoint=checkpoint)
     replace(start, psi=result.psi).write(path)
     if result.interrupted:
         write_metrics(args.out, vars(args), history(result))
@@ -152,7 +152,7 @@ def show(args: Namespace, start: LearnedCost, result: LearningResult, problem: O
         if plan.failures:
             print(f"{name}: {plan.failures}")
     print(
-        f"\n{args.steps} outer iterations at most, {len(result.losses) - 1} taken, in {result.seconds[-1]:.1f} s; "
+        f"\n{args.iterations} outer iterations at most, {len(result.losses) - 1} taken, in {result.seconds[-1]:.1f} s; "
         f"every gradient certified: {'yes' if not result.uncertified.any() else 'no'}"
     )
     results: dict[str, object] = {

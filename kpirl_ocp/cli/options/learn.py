@@ -31,7 +31,7 @@ def add_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--method", type=one_of(METHODS), default="unrolled", help="unrolled (default) or implicit")
     parser.add_argument("--cost", type=one_of(COSTS), default="weighted", help="weighted (default), time or rbf")
-    parser.add_argument("--steps", type=whole(0), default=100, help="outer iterations (default: 100)")
+    parser.add_argument("--iterations", type=whole(0), default=100, help="of the optimiser, at most (default: 100)")
     parser.add_argument(
         "--optimiser", type=one_of(OPTIMISERS), help="adam (default if unrolled), lbfgs (default if implicit), descent"
     )

@@ -47,7 +47,7 @@ DATA = (
 )
 PROGRAMS = (
     _kpirl("data collection", "collect", "keypoints", "--frames", "2", "--episodes", "60"),
-    _kpirl("cost learning", "learn", "--steps", "600", "--task", "reaching"),
+    _kpirl("cost learning", "learn", "--iterations", "600", "--task", "reaching"),
     _kpirl(
         "detector training",
         *("train-keypoints", "--data", "{data}/keypoints", "--preset", "tiny", "--steps", "300", "--threads", "1"),
