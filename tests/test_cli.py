@@ -644,7 +644,9 @@ def test_interrupted_learning_keeps_the_best_cost(by, to, tmp_path):
 @SIGNALS
 def test_an_interrupted_comparison_keeps_what_was_measured(by, to, tmp_path):
     words = ["compare", "--problem", "lqr", "--steps", "1", "2", "3", "4", "5"]
-    code, (line,) = interrupted(words, tmp_path, b"| 1/17", by, to)
+    code, lines = interrupted(words, tmp_path, b"| 1/17", by, to)
+    assert len(lines) == 1, lines
+    (line,) = lines
     assert code == 130
     kept = re.fullmatch(rf"interrupted: (\d+) of 17 measurements are in {tmp_path}/metrics.json.", line).group(1)
     results = json.loads((tmp_path / "metrics.json").read_text())["results"]
