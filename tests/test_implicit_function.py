@@ -11,6 +11,7 @@ from dense_kkt import derivative, unknowns
 from problems import TABLE, network, swing_up
 
 from kpirl_ocp import OCP, Ipopt, Riccati
+from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
@@ -118,6 +119,34 @@ def test_curvature_and_qualification_equal_their_dense_definitions(name):
     assert len(rows) > 0
     np.testing.assert_allclose(factors.qualification, singular.min(), rtol=1e-2)
     np.testing.assert_allclose(factors.curvature, values[0], rtol=4e-2)
+
+
+@pytest.mark.parametrize("name", ["tanh network", "iiwa at a limit", "integrator"])
+def test_the_softest_direction_follows_the_dynamics_and_has_the_lowest_curvature(name):
+    _, _, function, _ = solved(name)
+    system = function.system
+    lowest, softest = function.factors.curvature, c.read(system.structure.softest, len(system.point.x))
+    H, Z, rows = dense_parts(system)
+    decisions = softest[system.instance.rows.decisions]
+    np.testing.assert_allclose(Z @ decisions, softest, atol=1e-12 * np.abs(softest).max())
+    np.testing.assert_allclose(np.linalg.norm(system.roots * decisions), 1.0)
+    np.testing.assert_allclose(rows[system.active] @ softest, 0.0, atol=1e-7 * np.abs(softest).max())
+    np.testing.assert_allclose(softest @ H @ softest, lowest, rtol=4e-2)
+
+
+@pytest.mark.parametrize("name", ["tanh network", "iiwa at a limit", "integrator"])
+def test_curvatures_of_entries_by_themselves_equal_the_dense_product(name):
+    """|H_t| + |F_t|' |H_t+1| |F_t|, on the diagonal."""
+    (problem, *_), _, function, _ = solved(name)
+    system, d = function.system, function.system.derivatives
+    T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
+    H = np.abs(dense_parts(system)[0])
+    expected = np.diag(H).copy()
+    for t in range(T):
+        F = np.abs(d.F[t * n_s * n_x :][: n_s * n_x].reshape(n_x, n_s).T)
+        next_ = slice((t + 1) * n_x, (t + 1) * n_x + n_s)
+        expected[t * n_x : (t + 1) * n_x] += np.diag(F.T @ H[next_, next_] @ F)
+    np.testing.assert_allclose(c.read(system.structure.curvature, len(expected)), expected, rtol=1e-13)
 
 
 def dense_parts(system):

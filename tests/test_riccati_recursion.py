@@ -277,12 +277,12 @@ class Constrained:
             self.kept[name] = array
             setattr(self.kkt.system, name, array.ctypes.data)
 
-    def solve(self, r, d, values, s0):
+    def solve(self, r, d, values, s0, corrections=12):
         """x, costates, forces and the relative residual."""
         assert not run("system_factor", self.kkt.system, self.kept["normal"])
         right, point = ([r, d, values, s0], [np.zeros_like(part) for part in (r, d, values, s0)])
         given, found = (c.Triple(*(part.ctypes.data for part in parts)) for parts in (right, point))
-        residual = run("system_solve", self.kkt.system, given, ctypes.c_double(1e-15), 12, found)
+        residual = run("system_solve", self.kkt.system, given, ctypes.c_double(1e-15), corrections, found)
         return *point[:3], residual
 
     def dense(self, r, d, values, s0):
@@ -322,3 +322,19 @@ def test_constrained_systems_are_solved_as_by_one_dense_kkt_matrix(name, seed):
     assert np.abs(balance).max() <= 200 * EPSILON * scale.max()
     on = problem.active > 0
     assert np.abs((problem.C @ x - right[2])[on]).max(initial=0.0) <= 200 * EPSILON * np.abs(x).max() * n_s
+
+
+@pytest.mark.parametrize("shape", [(12, 3, 2, ()), (12, 4, 3, (0, 1, 3))])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_first_substitution_holds_decisions_at_their_bounds(shape, seed):
+    """They are taken out by a pivot as large as 1 / rounding; other active rows take a second one."""
+    n_x = shape[1] + shape[2]
+    problem = Constrained(shape, Rows(bounds=(*shape[3][:2], shape[1], 2 * n_x + shape[1] + 1)), seed=seed)
+    rng = np.random.default_rng(seed + 2)
+    steps, n_s, _, n_w = problem.lq.sizes
+    right = [rng.normal(size=n_w), np.zeros(steps * n_s), np.zeros(problem.m), np.zeros(n_s)]
+    *found, residual = problem.solve(*right, corrections=1)
+    assert problem.active.all()
+    assert residual < 1e-13
+    for one, other in zip(found, problem.dense(*right), strict=True):
+        assert_close(one, other, 1e-10)

@@ -6,6 +6,7 @@ The arithmetic is in C: `kpirl_mpc_certify.c` and `kpirl_mpc_kinks.c`.
 from __future__ import annotations
 
 import ctypes
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,9 @@ from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, Memory, PrimalDual, Triple
 from kpirl_ocp.ocp.sensitivity.rows import rows_of
 from kpirl_ocp.types import Array
+
+_FIELDS = [name for name, *_ in c.Evidence._fields_]
+_VALUES = attrgetter(*_FIELDS)
 
 
 def measure(
@@ -44,7 +48,7 @@ def measure(
 
 def fields_of(evidence: Any) -> dict[str, float]:
     """The structure `kpirl_mpc_evidence` as a dictionary with the field names of `SensitivityCertificate`."""
-    return {name: float(getattr(evidence, name)) for name, *_ in evidence._fields_}
+    return dict(zip(_FIELDS, _VALUES(evidence), strict=True))
 
 
 def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:

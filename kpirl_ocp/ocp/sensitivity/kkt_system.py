@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,8 @@ from kpirl_ocp.ocp.problem.solver import StageDerivatives, StageValues
 from kpirl_ocp.ocp.sensitivity.rows import Rows, rows_of
 from kpirl_ocp.ocp.sensitivity.solution_arrays import as_row, check_solution
 from kpirl_ocp.types import Array, Mask, Solution
+
+_OF_VIEW = attrgetter("defects", "path", "equality", "gradient", "F", "G", "E", "H")  # as in `c.View`, after the point
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,11 @@ class KKTSystem:
     def point(self) -> PrimalDual:
         """The point of linearisation."""
         return self.read(self.structure.point)
+
+    @property
+    def x(self) -> Array:
+        """(n_w,) of the point."""
+        return c.read(self.structure.point.x, self.sizes_of_parts[0])
 
     def read(self, triple: Any) -> PrimalDual:
         """A copy of a structure `kpirl_mpc_triple`."""
@@ -244,10 +252,9 @@ class Triple:
 
 def _view_of(derivatives: StageDerivatives) -> tuple[Any, list[Array]]:
     """The structure `kpirl_mpc_view`, and the arrays that must live as long as it is used."""
-    names = ("defects", "path", "equality", "gradient", "F", "G", "E", "H")
-    arrays = [np.ascontiguousarray(getattr(derivatives, name), float) for name in names]
-    view = c.View(**dict(zip(names, map(c.address_of, arrays), strict=True)), objective=derivatives.objective)
-    return view, arrays
+    arrays = [np.ascontiguousarray(array, float) for array in _OF_VIEW(derivatives)]
+    point = (None,) * 4
+    return c.View(*point, *map(c.address_of, arrays), derivatives.objective), arrays
 
 
 def at_solution(problem: OCP, solution: Solution) -> KKTSystem:

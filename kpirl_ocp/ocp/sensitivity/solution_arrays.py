@@ -13,11 +13,15 @@ from kpirl_ocp.ocp.interior_point.results import solution_rows
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Solution, floats
 
+_FLOAT = np.dtype(float)
+
 
 def check_solution(problem: OCP, solution: Solution, name: str = "the solution") -> None:
     """Raise ProblemError when the arrays of a solution do not fit the problem."""
     arrays, shapes = _arrays(problem)
     for (part, shape), array in zip(shapes.items(), (*arrays(solution), solution.psi, solution.context), strict=True):
+        if isinstance(array, np.ndarray) and array.shape == shape and array.dtype == _FLOAT:
+            continue
         given = floats(f"{name}'s {part}", array).shape
         if given != shape:
             raise ProblemError(f"{name}'s {part} must be {shape}, got {given}: it is of another problem.")
@@ -26,7 +30,7 @@ def check_solution(problem: OCP, solution: Solution, name: str = "the solution")
 def as_row(problem: OCP, solution: Solution) -> Array:
     """A solution that fits a problem as a row (n,), see `SolutionRows`."""
     arrays, _ = _arrays(problem)
-    return np.concatenate([np.asarray(part, float).ravel() for part in arrays(solution)])
+    return np.concatenate(arrays(solution), axis=None, dtype=float)
 
 
 def as_rows(problem: OCP, solutions: Sequence[Solution]) -> Array:

@@ -49,7 +49,8 @@ class Gradients(Brief):
     @classmethod
     def of_plan(cls, problem: OCP, slope: Array, found: ByParameters, certificate: SensitivityCertificate) -> Gradients:
         """The gradients `found` through the other states and actions, and the direct one by s_0 in `slope` (n_w,)."""
-        s0 = np.where(problem.free_start, 0.0, slope[: problem.n_states] + found.s0)
+        s0 = slope[: problem.n_states] + found.s0
+        s0[problem.free_start] = 0.0
         return cls(found.psi, s0, found.context, certificate)
 
     @classmethod
@@ -122,7 +123,7 @@ class Sensitivity:
     def plan(self) -> Array:
         """(n_w,) the plan that is differentiated, in the order of time: the solution after Newton steps, if any."""
         with borrow_core(self.problem) as core:
-            return self._linearised(core).system.point.x
+            return self._linearised(core).system.x
 
     def pull_by_stage(self, slope: Array) -> tuple[Gradients, Array]:
         """`pull` of a slope (n_w,) in the order (s_0, u_0, s_1, .., s_T), and `KKTSystem.parameter_tangent` (n_w,)."""

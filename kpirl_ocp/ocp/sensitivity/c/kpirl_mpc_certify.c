@@ -103,11 +103,12 @@ static real cancelling(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *weights) 
 static real slope_left(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
                        const kpirl_mpc_triple *tangent, real here, real length, real *values, real *work) {
   const kpirl_mpc_system *s = &k->system;
+  const int count = kpirl_mpc_system_n_triple(s) - s->n_states;
   kpirl_mpc_kkt there = *k;
-  int i;
   there.evaluated = 0;
   work = kpirl_mpc_place_triple(s, work, &there.point);
-  for (i = 0; i < kpirl_mpc_system_n_triple(s); ++i) there.point.x[i] = k->point.x[i] + length * tangent->x[i];
+  memcpy(there.point.x, k->point.x, (size_t)count * sizeof(real));
+  kpirl_mpc_axpy(length, tangent->x, count, there.point.x);
   return (kpirl_mpc_moved_weighted_sum(&there, core, weights, moves, length, values, work) - here) / length;
 }
 

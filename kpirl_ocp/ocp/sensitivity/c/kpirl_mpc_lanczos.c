@@ -89,6 +89,7 @@ real kpirl_mpc_lanczos(kpirl_mpc_operator *product, const void *self, int n, int
   }
   memset(vector, 0, (size_t)n * sizeof(real));
   for (j = 0; j <= k; ++j) kpirl_mpc_axpy(coordinates[j], basis + (size_t)j * n, n, vector);
+  for (i = 0; i < n; ++i) next[i] = value * vector[i] + coordinates[k] * next[i]; /* A V c = V T c + c_last next, T c = value c */
   return value;
 }
 

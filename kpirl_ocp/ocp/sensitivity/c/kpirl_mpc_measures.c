@@ -14,25 +14,42 @@ real kpirl_mpc_over(real value, real size) { return value / (size > 0 ? size : 1
 
 real kpirl_mpc_worse(real a, real b) { return isnan(a) || isnan(b) ? (real)INFINITY : kpirl_mpc_larger(a, b); }
 
-static void absolute(const real *values, int count, real *result) {
+/* |F|' (n_x, n_s) */
+static void absolute_transpose(const real *restrict F, int n_s, int n_x, real *restrict Ft) {
   int i;
-  for (i = 0; i < count; ++i) result[i] = kpirl_mpc_abs(values[i]);
+  kpirl_mpc_transpose(F, n_s, n_x, Ft);
+  for (i = 0; i < n_s * n_x; ++i) Ft[i] = kpirl_mpc_abs(Ft[i]);
+}
+
+/* values (n_x) += the diagonal of |F|' |H| |F|, of the first n_s rows and columns of H (n, n), by its lower triangle. work: n_s + n_x
+ * numbers. */
+static void add_diagonal(const real *restrict Ft, int n_s, int n_x, const real *restrict H, int n, real *restrict work,
+                         real *restrict values) {
+  real *weights = work, *sums = weights + n_s;
+  int a, b, i;
+  for (a = 0; a < n_s; ++a, H += n + 1, Ft += n_x) {
+    int count = n_s - a;
+    while (count > 0 && H[count - 1] == 0) --count; /* in most problems most are */
+    for (b = 0; b < count; ++b) weights[b] = (b == 0 ? 1 : 2) * kpirl_mpc_abs(H[b]);
+    for (i = 0; count == 1 && i < n_x; ++i) values[i] += weights[0] * Ft[i] * Ft[i];
+    if (count <= 1) continue;
+    memset(sums, 0, (size_t)n_x * sizeof(real));
+    kpirl_mpc_times_vector(Ft, n_x, count, weights, sums);
+    for (i = 0; i < n_x; ++i) values[i] += Ft[i] * sums[i];
+  }
 }
 
 void kpirl_mpc_system_curvature(const kpirl_mpc_system *s, real *curvature) {
   const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
-  real *next = s->scratch, *F = next + n_s * n_s, *product = F + n_s * n_x;
+  real *Ft = s->scratch, *work = Ft + n_s * n_x;
   int t, i;
   for (t = 0; t <= T; ++t) {
-    const int n = t < T ? n_x : n_s, after = t + 1 < T ? n_x : n_s;
+    const int n = t < T ? n_x : n_s;
     const real *H = s->H + (size_t)t * n_x * n_x;
     for (i = 0; i < n; ++i) curvature[t * n_x + i] = kpirl_mpc_abs(H[i + i * n]);
     if (t == T) break;
-    for (i = 0; i < n_s; ++i) absolute(H + n_x * n_x + i * after, n_s, next + i * n_s);
-    absolute(s->F + (size_t)t * n_s * n_x, n_s * n_x, F);
-    memset(product, 0, (size_t)(n_s * n_x) * sizeof(real));
-    kpirl_mpc_times(next, n_s, n_s, F, n_x, product);
-    for (i = 0; i < n_x; ++i) curvature[t * n_x + i] += kpirl_mpc_dot(F + i * n_s, product + i * n_s, n_s);
+    absolute_transpose(s->F + (size_t)t * n_s * n_x, n_s, n_x, Ft);
+    add_diagonal(Ft, n_s, n_x, H + n_x * n_x, t + 1 < T ? n_x : n_s, work, curvature + t * n_x);
   }
 }
 
@@ -139,13 +156,39 @@ static void variances(const real *columns, int n, int rows, const real *S, real 
   }
 }
 
-/* Does a row that counts see more than one action? */
-static int only_actions(const kpirl_mpc_system *s) {
-  const int n_x = s->n_states + s->n_actions, m = kpirl_mpc_system_n_rows(s);
-  int i;
-  for (i = 0; i < m; ++i)
-    if (s->active[i] != 0 && (i >= s->n_bounds || s->entries[i] % n_x < s->n_states)) return 0;
-  return 1;
+int kpirl_mpc_decision_of(const kpirl_mpc_system *s, int row) {
+  const int n_s = s->n_states, n_x = n_s + s->n_actions;
+  int j, entry;
+  if (row >= s->n_bounds) return -1;
+  entry = s->entries[row];
+  for (j = 0; j < s->n_free; ++j)
+    if (s->free[j] == entry) return j;
+  if (entry >= s->horizon * n_x || entry % n_x < n_s) return -1;
+  return s->n_free + entry / n_x * s->n_actions + entry % n_x - n_s;
+}
+
+int kpirl_mpc_system_other_rows(const kpirl_mpc_system *s) {
+  int i, count = 0;
+  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) count += s->active[i] != 0 && kpirl_mpc_decision_of(s, i) < 0;
+  return count;
+}
+
+void kpirl_mpc_moved_by_decisions(const kpirl_mpc_system *s, int row, real *work, real *by) {
+  const int n_s = s->n_states, n_x = n_s + s->n_actions, n_w = kpirl_mpc_system_n_point(s);
+  real *m = work, *forces = m + n_w;
+  int t = s->horizon, i;
+  memset(m, 0, (size_t)n_w * sizeof(real));
+  if (row < s->n_bounds) {
+    t = s->entries[row] / n_x;
+    m[s->entries[row]] = s->signs[row];
+  } else {
+    memset(forces, 0, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
+    forces[row] = 1;
+    kpirl_mpc_rows_push(s, forces, m);
+  }
+  while (t-- > 0)
+    kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, m + (t + 1) * n_x, m + t * n_x);
+  for (i = 0; i < s->n_decisions; ++i) by[i] = m[s->decisions[i]] / s->roots[i];
 }
 
 /* Row . covariance . row, where decisions are white in their units, stage by stage. */
@@ -182,22 +225,25 @@ static void row_variances(kpirl_mpc_system *s, real *values) {
   for (i = 0; i < s->n_bounds; ++i) values[i] = of_x[s->entries[i]];
 }
 
-/* Returns whether no decision moves some active row; such a row has length 1. */
+/* The length of one row. */
+static real length_of(const kpirl_mpc_system *s, int row) {
+  const int decision = kpirl_mpc_decision_of(s, row);
+  real *by = s->scratch + kpirl_mpc_system_inner_scratch(s);
+  if (decision >= 0) return 1 / s->roots[decision];
+  kpirl_mpc_moved_by_decisions(s, row, by + s->n_decisions, by);
+  return kpirl_mpc_length(by, s->n_decisions);
+}
+
+/* Row by row, of which those that are no bounds of decisions take n_s n_x products a stage, or by one covariance, which takes
+ * n_s n_x (n_s + n_x). */
 int kpirl_mpc_find_lengths(kpirl_mpc_system *s) {
-  const int n_x = s->n_states + s->n_actions, m = kpirl_mpc_system_n_rows(s);
+  const int m = kpirl_mpc_system_n_rows(s), many = kpirl_mpc_system_other_rows(s) > 2 * s->n_states + s->n_actions;
   int i, immovable = 0;
-  memset(s->lengths, 0, (size_t)m * sizeof(real));
-  if (!only_actions(s))
-    row_variances(s, s->lengths);
-  else
-    for (i = 0; i < s->n_bounds; ++i) {
-      const int t = s->entries[i] / n_x, k = s->entries[i] % n_x - s->n_states;
-      const real root = k >= 0 ? s->roots[s->n_free + t * s->n_actions + k] : 1;
-      s->lengths[i] = k >= 0 ? 1 / (root * root) : 0;
-    }
+  if (many) row_variances(s, s->lengths);
   for (i = 0; i < m; ++i) {
-    immovable |= s->active[i] != 0 && s->lengths[i] == 0;
-    s->lengths[i] = s->lengths[i] == 0 ? 1 : kpirl_mpc_root(s->lengths[i]);
+    const real length = s->active[i] == 0 ? 1 : many ? kpirl_mpc_root(s->lengths[i]) : length_of(s, i);
+    immovable |= length == 0;
+    s->lengths[i] = length == 0 ? 1 : length;
   }
   return immovable;
 }

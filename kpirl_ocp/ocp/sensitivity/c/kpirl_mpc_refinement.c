@@ -43,18 +43,25 @@ static void residual_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right
   only_equations(s, right->start, point->x, residual);
 }
 
-/* K (dx, dlambda) = (r + C' S c, d),  dmu = S (C dx - c)  with K the factorised matrix: point += step. Returns |dx|. */
-static real correct(const kpirl_mpc_system *s, const kpirl_mpc_triple *residual, kpirl_mpc_triple *point, real *work) {
+/* K (dx, dlambda) = (r + C' S c, d) with K the factorised matrix; dcostates NULL: not wanted. work: n_w + m numbers. */
+static void substitute(const kpirl_mpc_system *s, const kpirl_mpc_triple *residual, real *dx, real *dcostates, real *work) {
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, m = kpirl_mpc_system_n_rows(s);
-  real *q = work, *dx = q + n_w, *d = residual->costates, *forces = residual->forces;
-  real *dcostates = dx + n_w, *change = dcostates + n_c, size;
+  real *q = work, *pushes = q + n_w, *d = residual->costates;
   int i;
-  for (i = 0; i < m; ++i) change[i] = s->stiffness[i] * forces[i];
+  for (i = 0; i < m; ++i) pushes[i] = s->stiffness[i] * residual->forces[i];
   memcpy(q, residual->x, (size_t)n_w * sizeof(real));
-  kpirl_mpc_rows_push(s, change, q);
+  kpirl_mpc_rows_push(s, pushes, q);
   for (i = 0; i < n_w; ++i) q[i] = -q[i];
   for (i = 0; i < n_c; ++i) d[i] = -d[i];
   kpirl_mpc_system_substitute(s, q, d, residual->start, dx, dcostates);
+}
+
+/* Its solution, and dmu = S (C dx - c): point += step. Returns |dx|. */
+static real correct(const kpirl_mpc_system *s, const kpirl_mpc_triple *residual, kpirl_mpc_triple *point, real *work) {
+  const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, m = kpirl_mpc_system_n_rows(s);
+  real *dx = work, *dcostates = dx + n_w, *change = dcostates + n_c, *forces = residual->forces, size;
+  int i;
+  substitute(s, residual, dx, dcostates, change);
   size = kpirl_mpc_decision_norm(s, dx);
   for (i = 0; i < n_w; ++i) point->x[i] += dx[i];
   for (i = 0; i < n_c; ++i) point->costates[i] += dcostates[i];
@@ -182,21 +189,20 @@ real kpirl_mpc_system_change(const kpirl_mpc_system *s, const kpirl_mpc_system *
   return (real)INFINITY;
 }
 
-/* The solution for a residual by one substitution; returns |dx|. */
-static real substitute(const kpirl_mpc_system *s, kpirl_mpc_triple *residual, kpirl_mpc_triple *change) {
-  real *work = kpirl_mpc_place_triple(s, s->scratch + kpirl_mpc_system_inner_scratch(s), change);
-  memset(change->x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
-  only_equations(s, change->start, change->x, residual);
-  return correct(s, residual, change, work);
+/* x (n_w) of the solution for a right-hand side, which is overwritten, by one substitution. */
+static const real *solve_once(const kpirl_mpc_system *s, kpirl_mpc_triple *right) {
+  const int n_w = kpirl_mpc_system_n_point(s);
+  real *x = s->scratch + kpirl_mpc_system_inner_scratch(s), *zero = x + n_w;
+  memset(zero, 0, (size_t)n_w * sizeof(real));
+  only_equations(s, zero, zero, right);
+  substitute(s, right, x, NULL, zero);
+  return x;
 }
 
 real kpirl_mpc_system_first_change(const kpirl_mpc_system *s, kpirl_mpc_triple *residual, const kpirl_mpc_triple *point) {
-  kpirl_mpc_triple change;
-  return substitute(s, residual, &change) / kpirl_mpc_decision_norm(s, point->x);
+  return kpirl_mpc_decision_norm(s, solve_once(s, residual)) / kpirl_mpc_decision_norm(s, point->x);
 }
 
 real kpirl_mpc_system_reach(const kpirl_mpc_system *s, kpirl_mpc_triple *right) {
-  kpirl_mpc_triple change;
-  substitute(s, right, &change);
-  return kpirl_mpc_point_norm(s, change.x);
+  return kpirl_mpc_point_norm(s, solve_once(s, right));
 }

@@ -7,6 +7,7 @@
 #include <string.h>
 
 static const real DELTA = (real)1e-8; /* balances the recursion's rounding, epsilon / DELTA, against the refinement's rate */
+static const real HELD = (real)1e-16; /* of bounds of decisions: on the diagonal at a pivot, where a large number rounds no other */
 static const real DEPENDENCE = (real)1e-11; /* singular values are known to its square root */
 
 /* Where the vectors of an eigenvalue begin: behind the scratch of products. */
@@ -14,16 +15,24 @@ static real *vectors_of(const kpirl_mpc_system *s) { return s->scratch + kpirl_m
 
 /* ---- operators ---------------------------------------------------------------------------------------------- */
 
-/* R^{-1} Z' H Z R^{-1} v, where Z v follows the dynamics; R are the roots of the decisions. */
+/* x = Z R^{-1} v, where Z v follows the dynamics; R are the roots of the decisions. */
+static void follow_dynamics(const kpirl_mpc_system *s, const real *v, real *x) {
+  const int n_s = s->n_states, n_x = n_s + s->n_actions;
+  int t, i;
+  memset(x, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  for (i = 0; i < s->n_decisions; ++i) x[s->decisions[i]] = v[i] / s->roots[i];
+  for (t = 0; t < s->horizon; ++t)
+    kpirl_mpc_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, x + t * n_x, x + (t + 1) * n_x);
+}
+
+/* R^{-1} Z' H Z R^{-1} v */
 static void reduced_hessian(const void *self, const real *v, real *product) {
   const kpirl_mpc_system *s = (const kpirl_mpc_system *)self;
   const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions, n_w = kpirl_mpc_system_n_point(s);
   real *x = s->scratch, *y = x + n_w;
   int t, i;
-  memset(x, 0, (size_t)(2 * n_w) * sizeof(real));
-  for (i = 0; i < s->n_decisions; ++i) x[s->decisions[i]] = v[i] / s->roots[i];
-  for (t = 0; t < T; ++t)
-    kpirl_mpc_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, x + t * n_x, x + (t + 1) * n_x);
+  memset(y, 0, (size_t)n_w * sizeof(real));
+  follow_dynamics(s, v, x);
   kpirl_mpc_times_vector(s->H + (size_t)T * n_x * n_x, n_s, n_s, x + T * n_x, y + T * n_x);
   for (t = T - 1; t >= 0; --t) {
     kpirl_mpc_times_vector(s->H + (size_t)t * n_x * n_x, n_x, n_x, x + t * n_x, y + t * n_x);
@@ -82,6 +91,11 @@ static void multipliers(const void *self, const real *b, real *product) {
 
 /* ---- what they show ----------------------------------------------------------------------------------------- */
 
+static real stiffness_of(const kpirl_mpc_system *s, int row) {
+  const real delta = kpirl_mpc_decision_of(s, row) >= 0 ? HELD : DELTA, length = s->lengths[row];
+  return (s->scale > 0 ? s->scale : 1) / (delta * length * length);
+}
+
 int kpirl_mpc_system_factor(kpirl_mpc_system *s, const real *start) {
   const int m = kpirl_mpc_system_n_rows(s), n = s->n_decisions;
   real *vector = vectors_of(s), *weights = vector, error;
@@ -92,7 +106,7 @@ int kpirl_mpc_system_factor(kpirl_mpc_system *s, const real *start) {
   if (n > 0)
     s->scale = kpirl_mpc_abs(kpirl_mpc_lanczos(reduced_hessian, s, n, 2, KPIRL_MPC_LARGEST, vector, vector + n, &error));
   for (i = 0; i < m; ++i) {
-    s->stiffness[i] = s->active[i] * (s->scale > 0 ? s->scale : 1) / (DELTA * s->lengths[i] * s->lengths[i]);
+    s->stiffness[i] = s->active[i] != 0 ? stiffness_of(s, i) : 0;
     weights[i] = s->sigma[i] + s->stiffness[i];
   }
   kpirl_mpc_factor_weighted(s, s->H, weights);
@@ -108,9 +122,7 @@ real kpirl_mpc_system_softest(const kpirl_mpc_system *s, int negative, const rea
   with.work = basis + (KPIRL_MPC_PRODUCTS + 1) * n;
   memcpy(vector, start, (size_t)n * sizeof(real));
   value = kpirl_mpc_eigenvalue(reduced_inverse, &with, n, negative ? KPIRL_MPC_LOWEST : KPIRL_MPC_HIGHEST, vector, basis);
-  memset(with.work, 0, (size_t)n_w * sizeof(real));
-  for (i = 0; i < n; ++i) with.work[s->decisions[i]] = s->roots[i] * vector[i];
-  memcpy(direction, inverse_times(s, with.work, with.work + n_w), (size_t)n_w * sizeof(real));
+  follow_dynamics(s, basis + KPIRL_MPC_PRODUCTS * n, direction); /* one product more than the vector has seen */
   size = kpirl_mpc_decision_norm(s, direction);
   for (i = 0; i < n_w; ++i) direction[i] /= size;
   return value;
@@ -140,42 +152,6 @@ real kpirl_mpc_system_qualification(kpirl_mpc_system *s, const real *start) {
  *
  *     (I + delta,  V_b';  V_b,  V V' + delta),    S = V_o V_o' + delta / (1 + delta) V_b V_b' + delta. */
 enum { FEW = KPIRL_MPC_FEW };
-
-/* The number of the decision that a row bounds; -1 of other rows. */
-static int decision_of(const kpirl_mpc_system *s, int row) {
-  const int n_s = s->n_states, n_x = n_s + s->n_actions;
-  int j, entry;
-  if (row >= s->n_bounds) return -1;
-  entry = s->entries[row];
-  for (j = 0; j < s->n_free; ++j)
-    if (s->free[j] == entry) return j;
-  if (entry >= s->horizon * n_x || entry % n_x < n_s) return -1;
-  return s->n_free + entry / n_x * s->n_actions + entry % n_x - n_s;
-}
-
-int kpirl_mpc_system_other_rows(const kpirl_mpc_system *s) {
-  int i, count = 0;
-  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) count += s->active[i] != 0 && decision_of(s, i) < 0;
-  return count;
-}
-
-/* A row times Z R^{-1}, over its length: how decisions, in their units, move it. m, forces: (n_w) and (m) numbers. */
-static void moved_by_decisions(const kpirl_mpc_system *s, int row, real *m, real *forces, real *by) {
-  const int n_s = s->n_states, n_x = n_s + s->n_actions;
-  int t = s->horizon, i;
-  memset(m, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
-  if (row < s->n_bounds) {
-    t = s->entries[row] / n_x;
-    m[s->entries[row]] = s->signs[row] / s->lengths[row];
-  } else {
-    memset(forces, 0, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
-    forces[row] = 1 / s->lengths[row];
-    kpirl_mpc_rows_push(s, forces, m);
-  }
-  while (t-- > 0)
-    kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, m + (t + 1) * n_x, m + t * n_x);
-  for (i = 0; i < s->n_decisions; ++i) by[i] = m[s->decisions[i]] / s->roots[i];
-}
 
 /* V' by columns (n, count); held: 1 for decisions at a bound; S^{-1} = W' W. */
 typedef struct few_rows {
@@ -213,6 +189,13 @@ static void inverse(const void *self, const real *v, real *product) {
   for (k = 0; k < n; ++k) z[k] = with->held[k] * (v[k] - z[k]) / (1 + DEPENDENCE);
 }
 
+/* A row of V. */
+static void row_in_units(const kpirl_mpc_system *s, int row, real *work, real *by) {
+  int i;
+  kpirl_mpc_moved_by_decisions(s, row, work, by);
+  for (i = 0; i < s->n_decisions; ++i) by[i] /= s->lengths[row];
+}
+
 real kpirl_mpc_system_few_rows(const kpirl_mpc_system *s, const real *start) {
   const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s), n = s->n_decisions;
   real *work = s->scratch + kpirl_mpc_system_inner_scratch(s), *vector = work + n_w + m, *basis, value;
@@ -226,11 +209,11 @@ real kpirl_mpc_system_few_rows(const kpirl_mpc_system *s, const real *start) {
   memset(with.held, 0, (size_t)n * sizeof(real));
   memset(vector, 0, (size_t)n * sizeof(real));
   for (i = 0; i < m; ++i) {
-    const int decision = decision_of(s, i);
+    const int decision = kpirl_mpc_decision_of(s, i);
     if (s->active[i] == 0) continue;
     vector[decision < 0 ? n + with.count : decision] = start[i];
     if (decision < 0)
-      moved_by_decisions(s, i, work, work + n_w, with.V + (size_t)n * with.count++);
+      row_in_units(s, i, work, with.V + (size_t)n * with.count++);
     else if (with.held[decision]++ > 0)
       return 0; /* the same row twice */
   }

@@ -8,7 +8,8 @@
  * of h and h_T, then of e and e_T. Active rows enter the recursion as a stiff quadratic, H + C' (sigma + S) C with
  * S = scale / (delta length^2): the system with -1/S in the place of its zero block. Refinement with the residuals of the true
  * system (the method of multipliers) removes the difference, by a factor of about delta each time. By Finsler's lemma the
- * stiff Hessian is positive definite along the dynamics when the Hessian is on the null space of the active rows.
+ * stiff Hessian is positive definite along the dynamics when the Hessian is on the null space of the active rows. Bounds of
+ * decisions have a delta of the size of rounding: each is a number on the diagonal at a pivot, which takes the decision out.
  *
  * Nothing here depends on units: decisions (actions, free entries of s_0) are measured by the root of a curvature of their own
  * (`roots`), all of x by its size (`sizes`), and a row by its length as a function of the decisions so measured.
@@ -113,6 +114,11 @@ int kpirl_mpc_system_other_rows(const kpirl_mpc_system *system);
 
 /* ---- parts ---- */
 
+/* The number of the decision that a row bounds; -1 of other rows. How decisions (n_decisions), in their units, move a row: it times
+ * Z R^{-1}. work: n_w + m numbers. */
+int kpirl_mpc_decision_of(const kpirl_mpc_system *system, int row);
+void kpirl_mpc_moved_by_decisions(const kpirl_mpc_system *system, int row, real *work, real *by);
+
 /* Those of the active rows; returns whether no decision moves some of them, whose length is 1. */
 int kpirl_mpc_find_lengths(kpirl_mpc_system *system);
 
@@ -135,7 +141,7 @@ typedef void kpirl_mpc_operator(const void *self, const real *v, real *product);
 enum { KPIRL_MPC_LOWEST = -1, KPIRL_MPC_LARGEST = 0, KPIRL_MPC_HIGHEST = 1, KPIRL_MPC_PRODUCTS = 5 };
 /* The outermost Ritz value (of KPIRL_MPC_LARGEST the largest absolute value) after some products, at most
  * KPIRL_MPC_PRODUCTS, and at most how far it is from an eigenvalue. vector: to start with, then the Ritz vector of length one.
- * basis: (KPIRL_MPC_PRODUCTS + 1) n numbers. */
+ * basis: (KPIRL_MPC_PRODUCTS + 1) n numbers, of which the last n become the product with that vector. */
 real kpirl_mpc_lanczos(kpirl_mpc_operator *product, const void *self, int n, int products, int which, real *vector,
                        real *basis, real *error);
 /* The same, started again with what it found until the first digits are known. */
