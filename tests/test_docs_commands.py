@@ -173,6 +173,7 @@ def test_the_commands_about_controllers_build_and_run_the_folder(tmp_path):
         pytest.skip("no cmake")
     page = ROOT / "docs/howto/deploy.md"
     code = re.search(r"```python\n(.*?)```", page.read_text(), re.DOTALL).group(1)
+    (tmp_path / "main.c").write_text(re.search(r"```c\n(/\* main\.c.*?)```", page.read_text(), re.DOTALL).group(1))
     for words in ([sys.executable, "-c", code], *blocks(page)):
         ran = subprocess.run(words, check=False, cwd=tmp_path, capture_output=True, text=True)
         assert ran.returncode == 0, ran.stderr

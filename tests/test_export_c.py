@@ -8,13 +8,14 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from exported import COMPILERS, STRICT, C, built, folder, ran
 from problems import TABLE
 
 import kpirl_ocp
-from kpirl_ocp import GradientDescent, Riccati
+from kpirl_ocp import OCP, GradientDescent, Riccati
 from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.ocp.codegen import portable_c as generated
@@ -38,6 +39,51 @@ def test_the_recorded_solves_are_reproduced(solver, compiler):
 def test_other_builds_reproduce_them_too(macro):
     out, _ = folder("integrator", CONVERGED)
     assert "all agree" in built(out, out / "test/test.c", *STRICT, f"-DKPIRL_MPC_{macro}")
+
+
+def test_single_precision_agrees_by_the_objective_where_the_cost_is_flat(tmp_path):
+    s, u = ca.SX.sym("s"), ca.SX.sym("u", 2)  # of which the sum matters, and hardly anything else
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        dynamics=s + 0.1 * ca.sum1(u),
+        stage_cost=s**2 + 1e-6 * ((u[0] - 0.3) ** 2 + u[1] ** 2),
+        horizon=10,
+        action_bounds=(-1, 1),
+    )
+    out = export_c(problem, CONVERGED, tmp_path, examples=[([1.0], [])])
+    said = built(out, out / "test/test.c", *STRICT, SINGLE[0])
+    assert "all agree" in said
+    (error, size, cost, value), _ = (
+        map(float, numbers)
+        for numbers in re.findall(r"actions differ by (\S+) of (\S+), objectives by (\S+) of (\S+)", said)
+    )
+    assert error > 0.1 * size
+    assert cost < 1e-3 * value
+
+
+@pytest.mark.parametrize("single", [True, False], ids=["a program in double", "a program in single"])
+def test_a_program_of_the_other_precision_than_the_library_does_not_link(single, tmp_path):
+    out, _ = folder("integrator", CONVERGED)
+    for source in out.glob("*.c"):
+        flags = ["-std=c99", *SINGLE[:single], "-c", str(source), "-o", str(tmp_path / f"{source.stem}.o")]
+        subprocess.run(["cc", *flags], check=True)
+    program = [*SINGLE[: not single], f"-I{out}", str(out / "example/main.c"), *map(str, tmp_path.glob("*.o"))]
+    linked = subprocess.run(["cc", "-std=c99", *program, "-lm"], capture_output=True, text=True, cwd=tmp_path)
+    missing = "kpirl_mpc_init" if single else "kpirl_mpc_init_single"
+    assert linked.returncode != 0
+    assert re.findall(r"undefined reference to .(\w+)", linked.stderr) == [missing]
+
+
+@pytest.mark.parametrize("flags", [(), ("-DKPIRL_MPC_FLOAT",)], ids=["double", "single"])
+def test_the_program_of_the_documentation_reaches_its_goal(flags, tmp_path):
+    page = (Path(__file__).parents[1] / "docs/howto/deploy.md").read_text()
+    statement = re.search(r"```python\n(import casadi.*?)```", page, re.DOTALL)
+    text = re.search(r"```c\n(/\* main\.c \*/.*?)```", page, re.DOTALL)
+    exec(statement[1].replace('"controller"', repr(str(tmp_path / "c"))), {})
+    program = tmp_path / "main.c"
+    program.write_text(text[1])
+    assert built(tmp_path / "c", program, *STRICT, *flags) == "-0.20\n"
 
 
 SINGLE = ("-DKPIRL_MPC_FLOAT", "-Wdouble-promotion")

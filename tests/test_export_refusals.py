@@ -36,6 +36,33 @@ def loaded(solver=Riccati()):  # noqa: B008
     return ExportedSolver(out, STRICT), case.problem, (seen.s0, case.psi, seen.context)
 
 
+# ---- arguments -------------------------------------------------------------------------------------------------------
+
+PAIRS = r"examples must be pairs of s0 and context, at least one, as in \[\(\[0, 0\], \[1\]\)\]; got "
+ONE_SUCH = r"the solver must be one such as Riccati\(\) or SQP\(\), got "
+WRONG_ARGUMENTS = {
+    "no pairs": ({"examples": [[1.0, 0.0, 0.0]]}, rf"{PAIRS}\[\[1\.0, 0\.0, 0\.0\]\]\."),
+    "one pair": ({"examples": ([0.0, 0.0, 0.0], [])}, PAIRS),
+    "none": ({"examples": []}, rf"{PAIRS}\[\]\."),
+    "the name of a solver": ({"solver": "riccati"}, f"{ONE_SUCH}'riccati'"),
+    "the class of a solver": ({"solver": Riccati}, f"{ONE_SUCH}<class "),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_ARGUMENTS)
+def test_wrong_arguments_are_named(case, tmp_path):
+    given, message = WRONG_ARGUMENTS[case]
+    with pytest.raises(ProblemError, match=message):
+        export_c(**{"problem": steered(S + U), "solver": Riccati(), "directory": tmp_path} | given)
+
+
+@pytest.mark.parametrize("name", ["a file", "a file/inside"])
+def test_a_place_where_nothing_can_be_written_is_named(name, tmp_path):
+    (tmp_path / "a file").write_text("")
+    with pytest.raises(FileError, match=f"cannot write a controller to '.*{name}': Not a directory"):
+        export_c(steered(S + 0.1 * U), Riccati(), tmp_path / name)
+
+
 # ---- what CasADi generates -------------------------------------------------------------------------------------------
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import NamedTuple
 
 from kpirl_ocp.cli.commands.evaluate import cost_of_the_iiwa
@@ -98,7 +99,8 @@ def main(args: Namespace) -> None:
     print(f"{folder}: {len(list(folder.rglob('*.c')))} C files, {size / 1e6:.1f} MB\n")
     if args.cost and isinstance(solver, GradientDescent):
         print(_OF_STEPS.format(solver.steps))
+    source, build = quote(str(folder)), quote(f"{folder}/build")
     print(
-        f"cmake -S {folder} -B {folder}/build && cmake --build {folder}/build && ctest --test-dir {folder}/build && "
-        f"{folder}/build/{args.prefix}_example"
+        f"cmake -S {source} -B {build} && cmake --build {build} && ctest --test-dir {build} && "
+        f"{quote(f'{folder}/build/{args.prefix}_example')}"
     )

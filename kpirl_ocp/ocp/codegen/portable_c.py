@@ -18,6 +18,8 @@ members bear the names of the function's inputs and outputs.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -140,8 +142,9 @@ def refuse_libraries(functions: Iterable[ca.Function]) -> None:
 
 def _generate(functions: Sequence[ca.Function]) -> str:
     generator = ca.CodeGenerator(f"{PREFIX}_functions.c", _OPTIONS)
-    for function in functions:
-        generator.add(function)
+    with contextlib.redirect_stderr(io.StringIO()):  # warnings of what `definitions` refuses in a sentence
+        for function in functions:
+            generator.add(function)
     text: str = generator.dump()
     return text
 
@@ -149,7 +152,7 @@ def _generate(functions: Sequence[ca.Function]) -> str:
 def _no_code(name: str, kind: str) -> ProblemError:
     return ProblemError(
         f"CasADi generates no C for {name!r}, {kind}, so that the problem cannot be exported: state that part in "
-        "expressions, an ODE for example with discretise()."
+        'expressions, an ODE for example with discretise(.., method="rk4").'
     )
 
 

@@ -66,7 +66,8 @@ class ExportedSolver:
         size = self._function("size")()
         self._memory = (ctypes.c_longdouble * (size // ctypes.sizeof(ctypes.c_longdouble) + 1))()
         self._controller = ctypes.c_void_p()
-        self._call("init", ctypes.byref(self._controller), self._memory, ctypes.c_size_t(ctypes.sizeof(self._memory)))
+        init = "init_single" if self.structures.real is np.float32 else "init"
+        self._call(init, ctypes.byref(self._controller), self._memory, ctypes.c_size_t(ctypes.sizeof(self._memory)))
         self._known: dict[OCP, bool] = {}
 
     def __repr__(self) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import kpirl_ocp.ocp.export.manifest as manifest
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.ocp.codegen import portable_c, templates
 from kpirl_ocp.ocp.codegen.target import Target
 from kpirl_ocp.ocp.codegen.templates import PREFIX
@@ -19,7 +19,7 @@ from kpirl_ocp.ocp.export.records import Record, header, record
 from kpirl_ocp.ocp.export.targets import target_of
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
-from kpirl_ocp.ocp.problem.statement.checks import numbers
+from kpirl_ocp.ocp.problem.statement.checks import numbers, shown
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, Status
 
@@ -57,7 +57,7 @@ def export_c(
         ProblemError: a solver that cannot be exported, with those that can; a problem that the solver does not handle,
             or for which CasADi generates no C; a wrong psi, example, preview or prefix; an example at which it is not
             finite.
-        FileError: the directory holds files of an earlier export that were changed since.
+        FileError: the directory cannot be written, or holds files of an earlier export that were changed since.
     """
     templates.check_prefix(prefix)
     portable_c.refuse_libraries(filter(None, manifest.functions_of(problem)))
@@ -66,6 +66,7 @@ def export_c(
     _, parameters, _ = problem.inputs(np.zeros(n_s), np.ones(n_psi) if psi is None else psi, np.zeros(n_c))
     pairs = [(np.zeros(n_s), np.zeros(n_c))] if examples is None else examples
     _check_finite("psi", parameters)
+    _check_pairs(pairs)
     for pair in pairs:
         _check_finite("an example", *map(np.asarray, pair))
     periods = _periods(problem, solver, preview)
@@ -81,9 +82,12 @@ def export_c(
 
     files = {templates.renamed(name, prefix): templates.renamed(text, prefix) for name, text in files.items()}
     out = Path(directory)
-    manifest.remove_former(out, files)
-    files[manifest.NAME] = manifest.write(problem, solver, target, prefix, parameters, files)
-    _write(out, files)
+    described = manifest.write(problem, solver, target, prefix, parameters, files)
+    try:
+        manifest.remove_former(out, files)
+        _write(out, files | {manifest.NAME: described})
+    except OSError as error:
+        raise FileError(f"cannot write a controller to {str(out)!r}: {error.strerror}.") from error
     return out
 
 
@@ -101,6 +105,13 @@ def _periods(problem: OCP, solver: Solver, preview: ArrayLike | None) -> Array:
         raise ProblemError(f"preview is for Riccati: {type(solver).__name__} has its schedule compiled in.")
     _check_finite("preview", rows)
     return np.vstack([schedule, rows])
+
+
+def _check_pairs(examples: Sequence[object]) -> None:
+    if not len(examples) or not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in examples):
+        raise ProblemError(
+            f"examples must be pairs of s0 and context, at least one, as in [([0, 0], [1])]; got {shown(examples)}."
+        )
 
 
 def _check_finite(what: str, *arrays: Array) -> None:

@@ -50,12 +50,14 @@ def header(records: Sequence[Record], target: Target, periods: Array) -> str:
         "next": [r.after for r in records],
         "cold_actions": [r.cold.actions for r in records],
         "warm_actions": [r.warm.actions for r in records],
+        "cold_objective": [np.array([r.cold.objective]) for r in records],
+        "warm_objective": [np.array([r.warm.objective]) for r in records],
     }
     guard, name = f"{PREFIX.upper()}_RECORDS_H", f"{PREFIX}_record"
     lines = [f"{LICENCE}\n/* Solved in Python when this folder was exported. */\n#ifndef {guard}\n#define {guard}\n"]
     lines += [f'#include "{PREFIX}.h"\n', f"#define {PREFIX.upper()}_RECORDS {len(records)}\n"]
     for key, values in arrays.items():
-        kind = "double" if key.endswith("actions") else f"{PREFIX}_real"
+        kind = "double" if key.endswith(("actions", "objective")) else f"{PREFIX}_real"
         rows = ",\n".join(f"  {numbers(value.ravel())}" for value in values)
         width = max(values[0].size, 1)
         lines.append(f"static const {kind} {name}_{key}[{len(records)}][{width}] = {{\n{rows}}};\n")

@@ -28,4 +28,6 @@ def target_of(problem: OCP, solver: Solver) -> Target:
         return descent.target(problem, solver)
     if isinstance(solver, SQP):
         return sqp.target(problem, solver)
+    if not hasattr(solver, "solve") or isinstance(solver, type):
+        raise ProblemError(f"the solver must be one such as Riccati() or SQP(), got {solver!r}. {ALTERNATIVES}.")
     raise ProblemError(f"{type(solver).__name__} needs libraries that cannot be exported as C. {ALTERNATIVES}.")

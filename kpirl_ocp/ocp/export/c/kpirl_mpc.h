@@ -49,6 +49,12 @@ typedef struct kpirl_mpc kpirl_mpc;
 
 /* ---- memory ------------------------------------------------------------------------------------------------- */
 
+/* A library of one precision and a program of the other do not link: what makes a controller has two names. */
+#ifdef KPIRL_MPC_FLOAT
+#define kpirl_mpc_init kpirl_mpc_init_single
+#define kpirl_mpc_create kpirl_mpc_create_single
+#endif
+
 /* Bytes that a controller needs. For static memory include kpirl_mpc_memory.h, which defines the type:
  *     static kpirl_mpc memory;    ...    kpirl_mpc_init(&mpc, &memory, sizeof memory); */
 size_t kpirl_mpc_size(void);
