@@ -18,6 +18,7 @@ from kpirl_ocp.perception.data.formats.lerobot_writer import write_lerobot
 from kpirl_ocp.perception.data.formats.plain import read_csv, read_npz
 from kpirl_ocp.perception.data.formats.robomimic import read_robomimic
 from kpirl_ocp.perception.data.formats.take import Take, episode_of_take, take_of_episode
+from kpirl_ocp.perception.tracking.tracks import read_tracks
 
 pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
 h5py = pytest.importorskip("h5py")
@@ -263,16 +264,45 @@ def test_csv_columns_become_arrays(tmp_path):
     np.testing.assert_allclose(read_csv(path, {"u": ["u"]}, rate=5.0).times, [0, 0.2])
 
 
+@pytest.mark.parametrize("columns", [["u"], {"u": "u"}], ids=["a list", "a word"])
+def test_columns_that_are_no_lists_by_names_are_refused(columns, tmp_path):
+    (tmp_path / "run.csv").write_text("t,u\n0,1\n")
+    with pytest.raises(EpisodeError, match=r'columns must be a dictionary such as \{"action": \["u1", "u2"\]\}, got '):
+        read_csv(tmp_path / "run.csv", columns, time="t")
+
+
+SYSTEMS = {"Unix": "\n", "Windows": "\r\n", "old Macintosh": "\r"}
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"], ids=["plain", "with the mark of spreadsheets"])
+def test_tables_of_every_system_are_read_with_blank_lines(system, mark, tmp_path):
+    end = SYSTEMS[system]
+    (tmp_path / "run.csv").write_bytes(mark + end.join(["t,u", "0,1", "", "1,2", "", "", ","]).encode())
+    np.testing.assert_array_equal(read_csv(tmp_path / "run.csv", {"u": ["u"]}, time="t")["u"], [[1], [2]])
+    rows = [" point, x,y ,frame", "a,1,2,0", "b,3,4,0", "", "b,7,8,1", "a,5,6,1", ""]
+    (tmp_path / "tracks.csv").write_bytes(mark + end.join(rows).encode())
+    tracks = read_tracks(tmp_path / "tracks.csv", rate=10.0, size=(20, 20))
+    np.testing.assert_array_equal(tracks.positions, [[[1, 2], [3, 4]], [[5, 6], [7, 8]]])
+    np.testing.assert_array_equal(tracks.times, [0, 0.1])
+
+
 @pytest.mark.parametrize(
     ("text", "options", "reason"),
     [
         ("t,u\n0,1\n1,x\n", {"time": "t"}, "line 3, u: expected a number, got 'x'"),
-        ("t,u\n0,1\n1\n", {"time": "t"}, "line 3, u: expected a number, got 'nothing'"),
+        ("t,u\n0,1\n1\n", {"time": "t"}, "line 3: expected 2 entries, one for each name, got 1"),
+        ("t,u\n0,1\n0,1,1,5\n", {"time": "t"}, "line 3: expected 2 entries, one for each name, got 4"),
+        ("t;u\n0;1\n0,1;1,5\n", {"time": "t"}, "its columns must be separated by commas, and numbers have a decimal"),
+        ("t\tu\n0\t1\n", {"time": "t"}, "its columns must be separated by commas"),
+        ("t,u,u\n0,1,2\n", {"time": "t"}, "it has several columns u"),
+        ("t,u\n", {"time": "t"}, "it has a line of names, and no rows"),
+        ('t,u\n0,1\n1,"x\ny"\n', {"time": "t"}, r"line 4, u: expected a number, got 'x\\ny'"),
         ("t,u\n0,1\n1,nan\n", {"time": "t"}, "u holds NaN or infinity"),
         ("t,v\n0,1\n", {"time": "t"}, "has no column u; it has t, v"),
         ("t,u\n0,1\n0,2\n", {"time": "t"}, "times do not rise from step 1 on"),
         ("t,u\n0,1\n1,2\n", {}, "say either"),
-        ("", {"rate": 1.0}, "has no column u"),
+        ("", {"rate": 1.0}, "it is empty"),
     ],
 )
 def test_what_is_amiss_with_a_csv_file_is_named(tmp_path, text, options, reason):

@@ -16,6 +16,7 @@ PRINTED = {  # closed forms, or what the data were made with
     "goal.py": r"ends at \[1\. 1\.\], off the curve by \de-1\d;",
     "keep_out.py": r"smallest distance 0\.500000 of 0\.5; CONVERGED",
     "identification.py": r"stiffness and damping \[4\.  0\.2\], first speed -0\.1000",
+    "phases.py": r"durations \[2\. 1\.\], top speed 2\.000000",
     "periodic.py": r"back to itself but for \de-1\d;",
     "differential_equation.py": r"(?s)midpoint +CONVERGED.*collocation +CONVERGED.*idas +CONVERGED",
     "torch_layer.py": r"error of the actions [0-9.]+e-03, of the targets 0\.0",

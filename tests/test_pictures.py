@@ -300,3 +300,11 @@ def test_axes_over_many_decades_have_powers_of_ten(tmp_path):
     axes.set(yscale="log", ylim=(1e-12, 1))
     save(figure, tmp_path / "figure.svg")
     assert "10^{-12}" in axes.yaxis.get_major_formatter()(1e-12)
+
+
+def test_a_figure_is_drawn_with_the_problem_alone():
+    s, u = ca.SX.sym("s"), ca.SX.sym("u")
+    problem = OCP.from_expressions(state=s, action=u, dynamics=s + u, stage_cost=s**2 + u**2, horizon=2)
+    solution = Riccati().solve(problem, [1.0])
+    with pytest.raises(ProblemError, match=r"plot\(solution, problem\) needs the OCP as problem, got Solution\."):
+        plot(solution, solution)

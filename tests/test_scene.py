@@ -48,6 +48,17 @@ def test_pinocchio_and_pybullet_agree_on_every_link(ideal):
             np.testing.assert_allclose(rotation, frame.rotation, rtol=0, atol=2e-6)
 
 
+def test_an_arm_without_inertia_is_loaded_in_silence(tmp_path, capfd):
+    joint = (
+        "<parent link='a'/><child link='b'/><axis xyz='0 1 0'/><limit lower='-1' upper='1' effort='9' velocity='9'/>"
+    )
+    arm = f"<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='revolute'>{joint}</joint></robot>"
+    (tmp_path / "arm.urdf").write_text(arm)
+    with Scene(arm=tmp_path / "arm.urdf", flange="b") as opened:
+        np.testing.assert_array_equal(opened.joint_limits, [[-1], [1]])
+    assert capfd.readouterr() == ("", "")
+
+
 def test_keypoints_of_the_robot_model_are_where_the_scene_has_them(ideal):
     robot = Robot.from_urdf(ideal.urdf, {"bottle": [[0, 0, 0], [0.02, 0.01, 0.1]]})
     ideal.reset(UPRIGHT)

@@ -85,11 +85,14 @@ def test_arms_links_and_files_are_looked_at_first(words, message, refused):
 
 
 TRACKS = {  # text of a .csv, sentence
-    "": "must have the columns point, x, y, and time or frame; visibility if it is known.",
-    "point,x,y\n1,2,3\n": "must have the columns point, x, y, and time or frame; visibility if it is known.",
+    "": "cannot be read as CSV: it is empty.",
+    "point,x,y\n1,2,3\n": "has no column frame; it has point, x, y. It needs point, x, y, and time or frame; "
+    "visibility if it is known.",
+    "point,x,y,time\n1,2,3,0\n2,2,3,0\n1,3,3,0.0\n": "line 2: this point has another place at the same time, "
+    "further down.",
     "point,x,y,frame\n1,2,3,0\n1,3,3,1\n": "has no times: say the frame rate of the film (--source-rate).",
     "point,x,y,time\n1,2,3,0\n": "tracks must be (n, K, 2) with n = 1 times of at least 2, got (1, 1, 2).",
-    "point,x,y,time\n1,two,3,0\n": "holds something that is no number, or too much",
+    "point,x,y,time\n1,two,3,0\n": "line 2, x: expected a number, got 'two'.",
     "point,x,y,time\n1,nan,3,0\n1,3,3,1\n": "tracks hold NaN or infinity where the keypoint is visible.",
 }
 

@@ -36,6 +36,8 @@ def plot(result: object, problem: OCP | None = None) -> Figure:
 @plot.register
 def _(result: Solution, problem: OCP | None = None) -> Figure:
     states, actions = result.panels()
+    if not isinstance(problem, OCP | None):
+        raise ProblemError(f"plot(solution, problem) needs the OCP as problem, got {type(problem).__name__}.")
     if problem is not None:
         states, actions = replace(states, names=_states(problem)), replace(actions, names=_actions(problem))
     figure = draw((states, actions))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kpirl_ocp.c_output import captured
 from kpirl_ocp.perception.scene.bullet import connect, pybullet
 from kpirl_ocp.perception.scene.camera import Camera
 from kpirl_ocp.perception.scene.frame import Frame
@@ -57,7 +59,12 @@ class World:
     def _load(self, urdf: Path) -> int:
         """Load a body that is fixed to the world, and give its number."""
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
-        return int(self._client.loadURDF(str(urdf), useFixedBase=True, flags=flags))
+        try:
+            with captured(1, 2) as said:  # two lines for every link without inertia, of which it takes the mass as 1 kg
+                return int(self._client.loadURDF(str(urdf), useFixedBase=True, flags=flags))
+        except pybullet.error:
+            print(*said, sep="\n", file=sys.stderr)
+            raise
 
     def _render(self, body: int, link: int, position: ArrayLike) -> Frame:
         """The camera's image, with the bottle, `link` of `body` (-1 for its base), at position (3,) [m]."""

@@ -6,10 +6,8 @@ visibility if it is known; frames are counted from zero.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -18,11 +16,12 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.episodes import atomic_write, check_archive
 from kpirl_ocp.errors import DemonstrationError, FileError
+from kpirl_ocp.perception.data.csv_table import read_table
 from kpirl_ocp.perception.data.video import sampled
 from kpirl_ocp.perception.tracking.similarity import transform
 from kpirl_ocp.perception.tracking.tracker import Located
 from kpirl_ocp.pictures import Brief
-from kpirl_ocp.sizes import check_bytes, read_text
+from kpirl_ocp.sizes import check_bytes
 from kpirl_ocp.types import Array, Mask
 
 _PLACES = ("tracks", "pred_tracks", "positions", "points")
@@ -210,23 +209,30 @@ def _taken(content: Mapping[str, Array], names: tuple[str, ...]) -> Array | None
 
 def _from_csv(path: Path, rate: float | None) -> tuple[Array, Array, Array | None]:
     try:
-        rows = list(csv.DictReader(StringIO(read_text(path), newline="")))
-    except (OSError, ValueError, csv.Error) as error:
+        table = read_table(path)
+    except (OSError, ValueError) as error:
         raise FileError(f"{path} cannot be read as CSV: {error}") from error
-    if not rows or not {"point", "x", "y"} <= rows[0].keys() or not {"time", "frame"} & rows[0].keys():
-        raise FileError(f"{path} must have the columns point, x, y, and time or frame; visibility if it is known.")
-    when = "time" if "time" in rows[0] else "frame"
+    when = "time" if "time" in table.names else "frame"
+    missing = table.missing(["point", "x", "y", when])
+    if missing:
+        raise FileError(f"{path} {missing} It needs point, x, y, and time or frame; visibility if it is known.")
     try:
-        moments = sorted({float(row[when]) for row in rows})
-        names = list(dict.fromkeys(row["point"] for row in rows))
+        moments, step = np.unique(table.numbers(when), return_inverse=True)
+        names = list(dict.fromkeys(table.column("point")))
         check_bytes(24 * len(moments) * len(names))
-        positions = np.full((len(moments), len(names), 2), np.nan)
-        confidence = np.zeros((len(moments), len(names)))
-        for row in rows:
-            place = moments.index(float(row[when])), names.index(row["point"])
-            positions[place] = float(row["x"]), float(row["y"])
-            confidence[place] = float(row.get("visibility") or 1.0)
-    except (TypeError, ValueError) as error:
-        raise FileError(f"{path} holds something that is no number, or too much: {error}") from error
+        known = "visibility" in table.names
+        visible = table.numbers("visibility", empty="1") if known else np.ones(len(table.rows))
+        places = np.column_stack([table.numbers("x"), table.numbers("y")])
+    except ValueError as error:
+        raise FileError(f"{path}, {error}") from error
+    index = {name: i for i, name in enumerate(names)}
+    keypoint = np.array([index[name] for name in table.column("point")])
+    cells, first, count = np.unique(step * len(names) + keypoint, return_index=True, return_counts=True)
+    if len(cells) < len(table.rows):
+        line = table.lines[first[count > 1].min()]
+        raise FileError(f"{path}, line {line}: this point has another place at the same {when}, further down.")
+    positions = np.full((len(moments), len(names), 2), np.nan)
+    confidence = np.zeros((len(moments), len(names)))
+    positions[step, keypoint], confidence[step, keypoint] = places, visible
     seconds = 1.0 if when == "time" else None if rate is None else 1 / rate
-    return positions, confidence, None if seconds is None else seconds * np.array(moments)
+    return positions, confidence, None if seconds is None else seconds * moments

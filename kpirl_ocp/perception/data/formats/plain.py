@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
-from io import StringIO
 from pathlib import Path
 from zipfile import BadZipFile
 from zlib import error as ZlibError
@@ -13,11 +11,10 @@ import numpy as np
 
 from kpirl_ocp.episodes import check_archive
 from kpirl_ocp.errors import EpisodeError
+from kpirl_ocp.perception.data.csv_table import read_table
 from kpirl_ocp.perception.data.formats.take import Take, checked_rate, one_line
-from kpirl_ocp.sizes import check_bytes, read_text
 from kpirl_ocp.types import Array
 
-_CELL = 64  # [bytes] that Python takes for a cell of a table
 # KeyError, RuntimeError: of archives whose index is wrong, that are encrypted or packed in another way.
 _NO_ARRAYS = (OSError, ValueError, TypeError, AttributeError, KeyError, RuntimeError, EOFError, BadZipFile, ZlibError)
 
@@ -34,25 +31,24 @@ def read_csv(
         rate: instead of it, steps per second [Hz].
 
     Raises:
-        EpisodeError: a column is missing, or a cell is no number; it names the line.
+        EpisodeError: a column is missing, a line has more or fewer entries than there are names, or an entry is no
+            number; it names the line.
     """
+    columns = _checked(columns)
     try:
-        text = read_text(Path(path)).removeprefix("\ufeff")  # which spreadsheets write
-        check_bytes(_CELL * (text.count(",") + text.count("\n")))
-        rows = list(csv.reader(StringIO(text, newline=""), skipinitialspace=True))
-    except (OSError, ValueError, csv.Error) as error:
+        table = read_table(Path(path))
+    except (OSError, ValueError) as error:
         raise EpisodeError(f"{path} cannot be read as CSV: {one_line(error)}") from error
-    header = [name.strip() for name in rows[0]] if rows else []
     wanted = [*(name for names in columns.values() for name in names), *([time] if time else [])]
-    missing = [name for name in wanted if name not in header]
+    missing = table.missing(wanted)
     if missing:
-        raise EpisodeError(f"{path} has no column {', '.join(missing)}; it has {', '.join(header)}.")
-    table = {name: _numbers(path, rows[1:], header.index(name), name) for name in wanted}
-    empty = [name for name, names in columns.items() if not names]
-    if empty:
-        raise EpisodeError(f"{path}: columns must name at least one column of {', '.join(empty)}.")
-    arrays = {name: np.column_stack([table[column] for column in names]) for name, names in columns.items()}
-    return _take(path, arrays, table[time] if time else None, rate, len(rows) - 1)
+        raise EpisodeError(f"{path} {missing}")
+    try:
+        numbers = {name: table.numbers(name) for name in wanted}
+    except ValueError as error:
+        raise EpisodeError(f"{path}, {error}") from error
+    arrays = {name: np.column_stack([numbers[column] for column in names]) for name, names in columns.items()}
+    return _take(path, arrays, numbers[time] if time else None, rate, len(table.rows))
 
 
 def read_npz(path: str | Path, *, time: str | None = None, rate: float | None = None) -> Take:
@@ -92,12 +88,11 @@ def _take(path: str | Path, arrays: Mapping[str, Array], times: Array | None, ra
         raise EpisodeError(f"{path}: {one_line(error)}") from error
 
 
-def _numbers(path: str | Path, rows: Sequence[Sequence[str]], index: int, name: str) -> Array:
-    values = np.empty(len(rows))
-    for line, row in enumerate(rows):
-        try:
-            values[line] = float(row[index])
-        except (ValueError, IndexError):
-            found = row[index] if index < len(row) else "nothing"
-            raise EpisodeError(f"{path}, line {line + 2}, {name}: expected a number, got {found!r}.") from None
-    return values
+def _checked(columns: Mapping[str, Sequence[str]]) -> Mapping[str, Sequence[str]]:
+    """The columns, if they are names of arrays and lists of names."""
+    if not isinstance(columns, Mapping) or any(isinstance(names, str) for names in columns.values()):
+        raise EpisodeError(f'columns must be a dictionary such as {{"action": ["u1", "u2"]}}, got {columns!r}.')
+    empty = [name for name, names in columns.items() if not names]
+    if empty:
+        raise EpisodeError(f"columns must name at least one column of {', '.join(empty)}.")
+    return columns
