@@ -86,10 +86,14 @@ class PrimalDual:
 
 
 class Memory:
-    """The structure `kpirl_mpc_kkt` for a problem, with the arrays it points to; for one thread at a time."""
+    """The structure `kpirl_mpc_kkt` for a problem, with the arrays it points to; for one thread at a time.
+
+    sizes_of_parts: lengths n_w, T n_s and n_rows of the parts of a point.
+    """
 
     def __init__(self, problem: OCP) -> None:
         rows = rows_of(problem)
+        self.sizes_of_parts = len(rows.largest_bound), problem.horizon * problem.n_states, len(rows.inequality)
         self._arrays, self._rows, self.structure = np.empty(rows.n_memory), rows.structure, c.KKT()
         self.address, dimensions = ctypes.addressof(self.structure), rows.dimensions
         given = ctypes.addressof(dimensions), ctypes.addressof(self._rows)
@@ -116,8 +120,7 @@ class KKTSystem:
     @property
     def sizes_of_parts(self) -> tuple[int, int, int]:
         """Lengths n_w, T n_s and n_rows of the parts of a point."""
-        rows = self.instance.rows
-        return len(rows.largest_bound), rows.problem.horizon * rows.problem.n_states, len(rows.inequality)
+        return self._memory.sizes_of_parts
 
     @property
     def point(self) -> PrimalDual:
