@@ -16,8 +16,9 @@ from kpirl_ocp.irl.visual.demonstrations import robot_demonstration
 from kpirl_ocp.irl.visual.planning_costs import planning_problem
 from kpirl_ocp.types import Demonstration
 from reproduction import reaching
+from reproduction.contenders import IMPLICIT, LITERAL, MORE_STEPS, SMALL_START, UNROLLED
 from reproduction.data import Models
-from reproduction.learning import IMPLICIT, LITERAL, MORE_STEPS, SMALL_START, UNROLLED, unpacked
+from reproduction.learning import unpacked
 from reproduction.settings import Preset
 from reproduction.sweep import Job, Result
 

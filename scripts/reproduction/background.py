@@ -14,9 +14,10 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.types import Array, Demonstration
+from reproduction.contenders import LITERAL, MORE_STEPS, SMALL_START, UNROLLED, Contender
 from reproduction.data import Models
 from reproduction.identification import DETECTION
-from reproduction.learning import LITERAL, MORE_STEPS, SMALL_START, UNROLLED, Contender, Lesson, learn_or_fail
+from reproduction.learning import Lesson, learn_or_fail
 from reproduction.sweep import Job, Result
 
 TASKS = ("reaching", "placing")

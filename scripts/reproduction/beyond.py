@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from reproduction import drawing, placing, robustness
-from reproduction.learning import EFFORT, IMPLICIT, MORE_STEPS, Contender
+from reproduction.contenders import EFFORT, IMPLICIT, MORE_STEPS, Contender
 from reproduction.outcome import Outcome
 from reproduction.page import Page
 from reproduction.settings import STARTS

@@ -9,9 +9,9 @@ import numpy as np
 from kpirl_ocp.reporting import digits, plus_minus
 from kpirl_ocp.types import Array
 from reproduction import axes, background, drawing
+from reproduction.contenders import IMPLICIT, LITERAL, MORE_STEPS, SMALL_START, UNROLLED, Contender
 from reproduction.drawing import Bars
 from reproduction.identification import HALF
-from reproduction.learning import IMPLICIT, LITERAL, MORE_STEPS, SMALL_START, UNROLLED, Contender
 from reproduction.outcome import Outcome
 from reproduction.page import Page
 from reproduction.tables import spread

@@ -11,7 +11,8 @@ from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.reporting import digits
 from kpirl_ocp.types import Array
 from reproduction import axes, placing, reaching, repeated, robustness
-from reproduction.learning import (
+from reproduction.choice import Tried
+from reproduction.contenders import (
     APPRENTICE,
     DEFAULT,
     DEFAULT_MORE_STEPS,
@@ -21,7 +22,6 @@ from reproduction.learning import (
     SMALL_START,
     UNROLLED,
     Contender,
-    Tried,
 )
 from reproduction.settings import STARTS, Preset
 from reproduction.sweep import Result
@@ -40,7 +40,7 @@ _UNSTABLE = 0.05  # share of iterations in which the loss rises
 class Outcome:
     """Settings and results by the names of jobs.
 
-    chosen: per task, the inner loop that was chosen. tried: per task, what became of every candidate.
+    chosen: per task, the inner loop that was chosen. tried: per task, the scores of every candidate.
     """
 
     preset: Preset

@@ -13,8 +13,8 @@ from kpirl_ocp.reporting import said_if_interrupted, write_metrics
 from reproduction import (
     axes,
     background,
+    choice,
     data,
-    learning,
     placing,
     reaching,
     repeated,
@@ -22,6 +22,7 @@ from reproduction import (
     robustness,
     simulation,
 )
+from reproduction.contenders import iterations_of
 from reproduction.data import Data, Models
 from reproduction.outcome import Outcome, claims
 from reproduction.page import Page
@@ -59,11 +60,11 @@ def experiments(models: Models, material: Data, preset: Preset, seeds: Sequence[
     candidates = [
         job
         for task, demos in validation.items()
-        for job in learning.choice_jobs(task, models, demos, preset.inner_loops, iterations[task])
+        for job in choice.jobs(task, models, demos, preset.inner_loops, iterations[task])
     ]
     judged = stage("2/6 choice of inner loop", candidates)
-    tried = {task: learning.tried(judged, task, preset.inner_loops) for task in validation}
-    chosen = {task: learning.choose(task, found) for task, found in tried.items()}
+    tried = {task: choice.tried(judged, task, preset.inner_loops) for task in validation}
+    chosen = {task: choice.choose(task, found) for task, found in tried.items()}
 
     found = placing.setups(models, material.placing, seeds)
     learned = stage(
@@ -111,7 +112,7 @@ def with_background(
     }
     jobs = []
     for task in background.TASKS:
-        counts = {c: reaching.iterations_of(c, *outer[task], preset) for c in background.CONTENDERS}
+        counts = {c: iterations_of(c, *outer[task], preset) for c in background.CONTENDERS}
         jobs += background.jobs(task, models, demonstrations[task], chosen[task], counts, seed)
     return jobs
 

@@ -23,28 +23,14 @@ from kpirl_ocp.perception.plant.camera_plant import CameraPlant, Disturbance
 from kpirl_ocp.perception.plant.starts import RATE, placing_starts
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array, Demonstration
+from reproduction.contenders import PLACING, Contender, iterations_of
 from reproduction.data import HandClip, Models
-from reproduction.learning import (
-    DEFAULT,
-    DEFAULT_MORE_STEPS,
-    EFFORT,
-    IMPLICIT,
-    LITERAL,
-    MORE_STEPS,
-    SMALL_START,
-    UNROLLED,
-    Contender,
-    Lesson,
-    learn_or_fail,
-    unpacked,
-)
-from reproduction.reaching import iterations_of
+from reproduction.learning import Lesson, learn_or_fail, unpacked
 from reproduction.settings import STARTS, Preset
 from reproduction.sweep import Job, Result
 
 SIZE = 240  # of the images [pixels]
 SUCCESS = 8.0  # the middle of the bottle ends within this of its goal [pixels]; 8 are about 31 mm
-CONTENDERS = (*UNROLLED, *LITERAL, *SMALL_START, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS, *IMPLICIT, *EFFORT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +63,7 @@ def jobs(models: Models, found: dict[int, Setup], chosen: InnerLoop, preset: Pre
     """One for every contender and seed."""
     made = []
     for seed, setup in found.items():
-        for contender in CONTENDERS:
+        for contender in PLACING:
             iterations = iterations_of(contender, preset.placing_iterations, preset.descent_iterations, preset)
             lesson = Lesson(contender, contender.inner_loop(chosen), iterations, seed)
             arguments = {"models": models, "demonstration": setup.demonstration, "lesson": lesson}
@@ -124,7 +110,7 @@ def execution_jobs(models: Models, found: dict[int, Setup], learned: dict[str, R
             },
         )
         for seed, setup in found.items()
-        for contender in CONTENDERS
+        for contender in PLACING
         for start in STARTS
         for closed in (False, True)
         if not learned[name_of(contender, seed)]["failure"]

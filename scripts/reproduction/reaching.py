@@ -17,39 +17,14 @@ from kpirl_ocp.irl.visual.demonstrations import moving_keypoints, positions, rob
 from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.irl.visual.planning_costs import planning_problem
 from kpirl_ocp.types import Demonstration, Mask
+from reproduction.contenders import REACHING, REACHING_EXECUTED, Contender, iterations_of
 from reproduction.data import Models
-from reproduction.learning import (
-    APPRENTICE,
-    DEFAULT,
-    DEFAULT_MORE_STEPS,
-    EFFORT,
-    IMPLICIT,
-    LITERAL,
-    MORE_STEPS,
-    SMALL_START,
-    UNROLLED,
-    Contender,
-    Lesson,
-    learn_or_fail,
-    unpacked,
-)
+from reproduction.learning import Lesson, learn_or_fail, unpacked
 from reproduction.settings import Preset
 from reproduction.sweep import Job, Result
 
 RATE = 5  # [Hz]
 LOOPS = ("open", "closed", "asynchronous")  # the last: closed, with a detector that runs beside it at 30 Hz
-
-PLAYED = (*UNROLLED, *LITERAL, APPRENTICE, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS)
-CONTENDERS = (*PLAYED, *SMALL_START, *IMPLICIT, *EFFORT)
-
-
-def iterations_of(contender: Contender, adam: int, descent: int, preset: Preset) -> int:
-    """Outer iterations; `adam` for those that use Adam, `descent` for those of plain descent."""
-    if contender in (*LITERAL, *SMALL_START):
-        return descent
-    if contender.method.startswith("implicit"):
-        return preset.implicit_iterations
-    return preset.baseline_iterations if contender.method == "apprenticeship" else adam
 
 
 def jobs(
@@ -65,7 +40,7 @@ def jobs(
         for seed in seeds:
             first = seed % len(pool)
             train = (pool[first:] + pool[:first])[:count]  # which one is learned from depends on the seed
-            for contender in CONTENDERS:
+            for contender in REACHING:
                 iterations = iterations_of(
                     contender, preset.reaching_iterations, preset.reaching_descent_iterations, preset
                 )
@@ -126,7 +101,7 @@ def execution_jobs(
                 "loop": loop,
             },
         )
-        for contender in PLAYED
+        for contender in REACHING_EXECUTED
         for loop in LOOPS
         if not learned[name_of(contender, count, seed)]["failure"]
     ]

@@ -10,13 +10,12 @@ import numpy as np
 from kpirl_ocp.perception.plant.camera_plant import Disturbance
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array
+from reproduction.contenders import TABLE_1, Contender
 from reproduction.data import Models
-from reproduction.learning import DEFAULT, DEFAULT_MORE_STEPS, LITERAL, MORE_STEPS, UNROLLED, Contender
 from reproduction.placing import Condition, Setup, name_of, play, scores
 from reproduction.settings import STARTS
 from reproduction.sweep import Job, Result
 
-CONTENDERS = (*UNROLLED, *LITERAL, DEFAULT, *MORE_STEPS, DEFAULT_MORE_STEPS)
 _OFF = 0.01 * np.array([0, 1, 0, 1, 0, 1, 0])  # of the joints that move in the plane [rad]
 _CAMERA = Condition(Disturbance(noise=5.0))
 
@@ -36,7 +35,7 @@ def jobs(models: Models, found: dict[int, Setup], learned: dict[str, Result], ex
                 "executions": executions,
             },
         )
-        for contender in CONTENDERS
+        for contender in TABLE_1
         for start in STARTS
         if not learned[name_of(contender, seed)]["failure"]
     ]

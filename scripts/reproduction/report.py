@@ -15,13 +15,15 @@ from kpirl_ocp.irl.cases.tasks import TASKS
 from kpirl_ocp.perception.detector.track_images import image_strips
 from kpirl_ocp.types import Array
 from reproduction import beyond, checklist, drawing, meaning, placing, reaching, simulation
-from reproduction.learning import (
+from reproduction.contenders import (
     APPRENTICE,
     DEFAULT,
     DEFAULT_MORE_STEPS,
     IMPLICIT,
     LITERAL,
     MORE_STEPS,
+    PLACING,
+    REACHING_EXECUTED,
     SMALL_START,
     UNROLLED,
     Contender,
@@ -129,7 +131,7 @@ def _reaching(page: Page, outcome: Outcome) -> None:
     meaning.red_keypoint(page, outcome)
     page.text("Played on the simulated arm, first seed:")
     rows = [
-        [c.label, *(cell for loop in reaching.LOOPS for cell in _played(outcome, c, loop))] for c in reaching.PLAYED
+        [c.label, *(cell for loop in reaching.LOOPS for cell in _played(outcome, c, loop))] for c in REACHING_EXECUTED
     ]
     loops = ("open loop", "closed loop (MPC)", "closed, detector beside at 30 Hz")
     page.table(["cost", *(head for loop in loops for head in (loop, "tracking [mrad]"))], rows)
@@ -235,7 +237,7 @@ def _placing(page: Page, outcome: Outcome) -> None:
                 int(outcome.executed(c, start, closed, "failed_plans").sum()),
             ]
             for start in STARTS
-            for c in placing.CONTENDERS
+            for c in PLACING
         ]
         header = [f"{loop} loop", "keypoints [px²]", "bottle [px]", "success", "tracking [mrad]", "failed plans"]
         page.table(

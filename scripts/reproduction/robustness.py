@@ -8,8 +8,8 @@ import numpy as np
 
 from kpirl_ocp.perception.plant.camera_plant import Disturbance
 from kpirl_ocp.perception.scene.scene import Scene
+from reproduction.contenders import DEFAULT_MORE_STEPS, MORE_STEPS, Contender
 from reproduction.data import Models
-from reproduction.learning import DEFAULT_MORE_STEPS, MORE_STEPS, Contender
 from reproduction.placing import SUCCESS, Condition, Setup, name_of, play, scores
 from reproduction.sweep import Job, Result
 

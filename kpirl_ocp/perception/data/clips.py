@@ -1,4 +1,4 @@
-"""Clips to train on: directories of recordings, and videos of any kind without labels."""
+"""Clips to train on: directories of recordings, and any videos without labels."""
 
 from __future__ import annotations
 

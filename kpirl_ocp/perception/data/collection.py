@@ -24,10 +24,10 @@ from kpirl_ocp.reporting import results_of
 
 
 def collect(directory: str | Path, motion: Motion, count: int, seed: int = 0, jobs: int = 1) -> Path:
-    """Write `count` episodes of a motion with their `meta.json`; those that are there already are kept.
+    """Write `count` episodes of a motion with their `meta.json`; existing ones are kept.
 
     Raises:
-        ProblemError: no episode, no process or a negative seed is asked for.
+        ProblemError: a count or number of jobs below one, or a negative seed.
         EpisodeError: the directory holds data of other settings.
     """
     directory = Path(directory)
@@ -74,7 +74,7 @@ def _agree(directory: Path, count: int, meta: Mapping[str, Any]) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Tuples as the lists that JSON makes of them."""
+    """Tuples as lists, as in JSON."""
     if isinstance(value, Mapping):
         return {key: _plain(entry) for key, entry in value.items()}
     return [_plain(entry) for entry in value] if isinstance(value, tuple | list) else value

@@ -18,19 +18,17 @@ VIDEO_SUFFIXES = (
     *(".mp4", ".m4v", ".mov", ".3gp", ".3g2", ".avi", ".webm", ".mkv", ".mts"),
     *(".m2ts", ".ts", ".mpg", ".mpeg", ".wmv", ".flv", ".ogv", ".gif"),
 )
-
-
 _MOST_PIXELS = 89_478_485  # of a frame, as Pillow reads pictures; 8K has 33 million
 
 
 def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.uint8]]]:
     """Time [s] since the first frame and image (H, W, 3) RGB of every frame up to the time `end`.
 
-    The rotation that a phone notes in the file is applied. What comes after `end` may be missing or damaged.
+    The rotation that a phone writes into the file is applied. The file may be damaged or missing after `end`.
 
     Raises:
         FileError: the file is missing, no video, of an unknown codec, damaged or incomplete, or its frames have more
-            than 89 million pixels; that is looked up before memory is taken.
+            than 89 million pixels, which is checked before memory is allocated.
     """
     if not path.is_file():
         raise FileError(f"there is no video {path}.")
@@ -53,7 +51,7 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
                     return
                 yield time, _upright(frame, path, stream)
         except av.error.FFmpegError as error:
-            if not stream.codec_context.width:  # its size is in no header but the frame's
+            if not stream.codec_context.width:  # only the frame's own header has its size
                 raise FileError(
                     f"{path} is damaged, or its frames have more than {_MOST_PIXELS / 1e6:.0f} million pixels."
                 ) from error
@@ -107,7 +105,7 @@ def _promised_seconds(container: av.container.InputContainer, stream: av.VideoSt
 
 
 def _square_size(path: Path, width: int, height: int, stream: av.VideoStream) -> tuple[int, int]:
-    """Width and height of a frame whose pixels are made square by widening or heightening it.
+    """Width and height of a frame after its pixels are made square by stretching it.
 
     Raises FileError if it is too large.
     """

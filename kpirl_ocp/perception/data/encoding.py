@@ -1,4 +1,4 @@
-"""Videos written: without loss for data, or as H.264, which every phone and browser plays."""
+"""Writing videos: without loss for data, or as H.264, which every phone and browser plays."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def write_video(
 ) -> Path:
     """Write frames (n, H, W, 3) uint8 RGB, or one frame after another, at `rate` [Hz].
 
-    codec: "ffv1" in .avi is lossless; "h264" in .mp4 is not, and an odd last row or column is left out.
+    codec: "ffv1" in .avi is lossless; "h264" in .mp4 is not, and leaves out an odd last row or column.
     quality: constant rate factor of H.264, from 0, the best, to 51; None for x264's own.
 
-    Raises FileError for frames of another kind, or if the file cannot be written.
+    Raises ProblemError for frames of another shape or type, and FileError if the file cannot be written.
     """
     path = Path(path)
     part = path.with_name(f".{path.stem}.part{path.suffix}")

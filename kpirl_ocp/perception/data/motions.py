@@ -1,8 +1,8 @@
 """Motions of the robot and the hand in front of the camera: one small record per data set of the paper.
 
-Each has the paper's numbers as defaults, a `rate` [Hz], a usual number of `episodes`, and `write(path, rng)`, which
-plays one episode. Numbers that the paper leaves open (postures, amplitudes) are chosen so that the
-bottle stays in the image.
+Each has the paper's numbers as defaults, a `rate` [Hz], a default number of `episodes`, and `write(path, rng)`, which
+plays one episode. Numbers that the paper leaves open (postures, amplitudes) are chosen so that the bottle stays in the
+image. `kpirl collect` has every setting as an option.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from kpirl_ocp.motion import forward_then_down, minimum_jerk
 from kpirl_ocp.perception.data.encoding import write_video
 from kpirl_ocp.perception.data.recordings import ArmRecording, GroundTruth
 from kpirl_ocp.perception.data.references import IN_PLANE, SHELF, carried, first_visible, random_posture, sine
-from kpirl_ocp.perception.data.surroundings import SURROUNDINGS_HELP, filmed
+from kpirl_ocp.perception.data.surroundings import filmed
 from kpirl_ocp.perception.scene.frame import Frame
 from kpirl_ocp.perception.scene.hand import RATE, HandScene, placing_path, wandering_path
 from kpirl_ocp.perception.scene.posture import UPRIGHT
@@ -31,9 +31,9 @@ from kpirl_ocp.types import Array
 T = TypeVar("T", int, float)
 
 
-def setting(default: T, text: str, least: float = 1) -> T:
-    """A number of a motion that is an option of `kpirl collect`, with its help and its smallest value."""
-    value: T = field(default=default, metadata={"help": text, "least": least})
+def setting(default: T, least: float = 1) -> T:
+    """A number of a motion, with its smallest value."""
+    value: T = field(default=default, metadata={"least": least})
     return value
 
 
@@ -59,7 +59,7 @@ class Motion(Protocol):
         ...
 
     def film(self, rng: np.random.Generator) -> list[Frame]:
-        """The frames of one episode before the white wall."""
+        """The frames of one episode in front of the white wall."""
         ...
 
     def write(self, path: Path, rng: np.random.Generator) -> None:
@@ -78,10 +78,13 @@ class Played:
 
 @dataclass(frozen=True)
 class ArmMotion(_Checked, ABC):
-    """A motion of the robot, recorded with its encoders and camera."""
+    """A motion of the robot, recorded with its encoders and camera.
 
-    rate: int = setting(5, "frames per second, a divisor of 240")
-    surroundings: int = setting(0, SURROUNDINGS_HELP, 0)
+    rate: frames per second, a divisor of 240. surroundings: level, see `kpirl_ocp.perception.data.surroundings`.
+    """
+
+    rate: int = setting(5)
+    surroundings: int = setting(0, 0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -92,7 +95,7 @@ class ArmMotion(_Checked, ABC):
         """Play one episode."""
 
     def film(self, rng: np.random.Generator) -> list[Frame]:
-        """The frames of one episode before the white wall."""
+        """The frames of one episode in front of the white wall."""
         return self.play(rng).frames
 
     def record(self, rng: np.random.Generator) -> ArmRecording:
@@ -114,12 +117,16 @@ class ArmMotion(_Checked, ABC):
 
 @dataclass(frozen=True)
 class LastJoint(ArmMotion):
-    """Data for the detector (A.2): the arm goes to a random posture, and then only its last joint moves."""
+    """Data for the detector (A.2): the arm goes to a random posture, and then only its last joint moves.
+
+    frames: per sequence. swing: largest amplitude of the last joint [rad].
+    off_plane: largest angle of joints 1, 3 and 5 from the plane of the camera [rad].
+    """
 
     episodes: ClassVar[int] = 108
-    frames: int = setting(10, "per sequence", 2)
-    swing: float = setting(0.8, "largest amplitude of the last joint [rad]", 0.0)
-    off_plane: float = setting(0.1, "how far joints 1, 3 and 5 are from the plane of the camera, at most [rad]", 0.0)
+    frames: int = setting(10, 2)
+    swing: float = setting(0.8, 0.0)
+    off_plane: float = setting(0.1, 0.0)
 
     def play(self, rng: np.random.Generator) -> Played:
         """One sequence."""
@@ -135,12 +142,15 @@ class LastJoint(ArmMotion):
 
 @dataclass(frozen=True)
 class Sines(ArmMotion):
-    """Data for the dynamics of reaching (A.3): sine motions of all joints, of joints 2, 4 and 6 the most."""
+    """Data for the dynamics of reaching (A.3): sine motions of all joints, mostly of joints 2, 4 and 6.
+
+    steps: actions per trajectory. amplitude, others: largest amplitude of joints 2, 4 and 6, and of the others [rad].
+    """
 
     episodes: ClassVar[int] = 100
-    steps: int = setting(50, "actions per trajectory")
-    amplitude: float = setting(0.25, "largest amplitude of joints 2, 4 and 6 [rad]", 0.0)
-    others: float = setting(0.03, "largest amplitude of the other joints [rad]", 0.0)
+    steps: int = setting(50)
+    amplitude: float = setting(0.25, 0.0)
+    others: float = setting(0.03, 0.0)
 
     def play(self, rng: np.random.Generator) -> Played:
         """One trajectory."""
@@ -160,13 +170,16 @@ class Placing(ArmMotion):
 
     The augmentation is the noise and the random turn of the bottle: the expert's path is played from many starts and
     disturbed at every step, so that the data also cover the neighbourhood of the path.
+
+    steps: actions per trajectory. noise, others: standard deviation of the noise on every action of joints 2, 4 and 6,
+    and of the others [rad].
     """
 
     episodes: ClassVar[int] = 100
-    rate: int = setting(1, "frames per second, a divisor of 240")
-    steps: int = setting(10, "actions per trajectory")
-    noise: float = setting(0.03, "standard deviation added to each action, joints 2, 4 and 6 [rad]", 0.0)
-    others: float = setting(0.005, "the same for the other joints [rad]", 0.0)
+    rate: int = setting(1)
+    steps: int = setting(10)
+    noise: float = setting(0.03, 0.0)
+    others: float = setting(0.005, 0.0)
 
     def play(self, rng: np.random.Generator) -> Played:
         """One trajectory."""
@@ -186,10 +199,13 @@ class Placing(ArmMotion):
 
 @dataclass(frozen=True)
 class Reaching(ArmMotion):
-    """Demonstrations of reaching (5.1): the robot moves the object along the x axis of the image only."""
+    """Demonstrations of reaching (5.1): the robot moves the object along the x axis of the image only.
+
+    steps: actions per demonstration.
+    """
 
     episodes: ClassVar[int] = 15
-    steps: int = setting(25, "actions per demonstration")
+    steps: int = setting(25)
 
     def play(self, rng: np.random.Generator) -> Played:
         """One demonstration, with a person's speed profile."""
@@ -206,24 +222,28 @@ class Reaching(ArmMotion):
 
 @dataclass(frozen=True)
 class HandMotion(_Checked, ABC):
-    """A motion of a hand that holds the bottle: a lossless video beside the truth."""
+    """A motion of a hand that holds the bottle: a lossless video, and an episode with the ground truth.
 
-    rate: int = setting(int(RATE), "frames per second")
-    seconds: float = setting(2.0, "length of the clip", 0.1)
-    tremor: float = setting(1e-3, "standard deviation of the hand's wander [m]", 0.0)
-    surroundings: int = setting(0, SURROUNDINGS_HELP, 0)
+    rate: frames per second. seconds: length of the clip. tremor: standard deviation of the hand's wander [m].
+    surroundings: level, see `kpirl_ocp.perception.data.surroundings`.
+    """
+
+    rate: int = setting(int(RATE))
+    seconds: float = setting(2.0, 0.1)
+    tremor: float = setting(1e-3, 0.0)
+    surroundings: int = setting(0, 0)
 
     @abstractmethod
     def path(self, rng: np.random.Generator) -> Array:
         """Path of the bottle (n, 3) [m]."""
 
     def film(self, rng: np.random.Generator) -> list[Frame]:
-        """The frames of one clip before the white wall."""
+        """The frames of one clip in front of the white wall."""
         with HandScene() as scene:
             return [scene.look(position) for position in self.path(rng)]
 
     def write(self, path: Path, rng: np.random.Generator) -> None:
-        """Film one clip: the truth to `path`, the video beside it."""
+        """Film one clip: the ground truth goes to `path`, the video next to it, as .avi."""
         frames = filmed(self.film(rng), self.surroundings, rng)
         write_video(path.with_suffix(".avi"), np.array([frame.rgb for frame in frames]), self.rate)
         write_episode(path, GroundTruth(**GroundTruth.columns(frames, self.rate)))
@@ -231,7 +251,7 @@ class HandMotion(_Checked, ABC):
 
 @dataclass(frozen=True)
 class HandPlacing(HandMotion):
-    """Demonstrations of placing (5.2): a hand puts the bottle on the shelf; a lossless video beside the truth."""
+    """Demonstrations of placing (5.2): a hand puts the bottle on the shelf."""
 
     episodes: ClassVar[int] = 12
 
@@ -242,10 +262,10 @@ class HandPlacing(HandMotion):
 
 @dataclass(frozen=True)
 class HandWandering(HandMotion):
-    """Clips for the detector: a hand carries the bottle about; a lossless video beside the truth."""
+    """Clips for the detector: a hand carries the bottle about."""
 
     episodes: ClassVar[int] = 24
-    seconds: float = setting(4.0, "length of the clip", 0.1)
+    seconds: float = setting(4.0, 0.1)
 
     def path(self, rng: np.random.Generator) -> Array:
         """To a new place every second."""

@@ -1,4 +1,4 @@
-"""Folders of pictures as videos: PNG or JPEG, in the order in which people number them."""
+"""Folders of pictures as videos: PNG or JPEG, in the order of the numbers in their names."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ def _content(path: Path) -> bytes:
 def decode_picture(content: bytes, place: str) -> NDArray[np.uint8]:
     """The picture (H, W, 3) RGB in a PNG or JPEG file, upright as the camera noted (EXIF).
 
-    Raises FileError, naming `place`, for more than 89 million pixels (Pillow's limit), and for what is no such file.
+    Raises FileError, naming `place`, for more than 89 million pixels (Pillow's limit), and for any other content.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            Image.open(io.BytesIO(content), formats=("PNG", "JPEG")).close()  # reads the header alone
+            Image.open(io.BytesIO(content), formats=("PNG", "JPEG")).close()  # reads only the header
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
         raise FileError(f"{place} cannot be read as an image: {error}") from error
     image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)

@@ -1,4 +1,4 @@
-"""Recordings of the camera, with the truth about the object that only a simulation knows (for evaluation)."""
+"""Recordings of the camera, with the ground truth of the object, which only a simulation knows (for evaluation)."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ class GroundTruth(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(GroundTruth):
-    """A clip with the truth about it; images: (T+1, H, W, 3) uint8 RGB."""
+    """A clip with its ground truth; images: (T+1, H, W, 3) uint8 RGB."""
 
     images: NDArray[np.uint8] = stored("observation.images.camera", np.uint8, "T+1", "H", "W", 3)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ArmFilm(Brief):
-    """A recording of any robot, as its user has it: frames, joints and commands.
+    """A recording of any robot, as users have it: frames, joints and commands.
 
     images: (T+1, H, W, 3) uint8 RGB. joints: (T+1, n_joints) [rad]. actions: (T, n_joints) displacements [rad].
     times: (T+1,) [s].
@@ -70,7 +70,7 @@ class MeasuredArmFilm(ArmFilm):
 
 
 def read_arm_film(path: Path) -> MeasuredArmFilm:
-    """A recording of a robot; where the file has no velocities they come from the joints of the frame before.
+    """A recording of a robot; velocities that the file lacks are differences from the frame before.
 
     Raises EpisodeError, naming file and key, if anything is amiss.
     """
@@ -79,7 +79,7 @@ def read_arm_film(path: Path) -> MeasuredArmFilm:
         with np.load(path, allow_pickle=False) as file:
             measured = "observation.velocity" in file.files
     except (OSError, ValueError, BadZipFile):
-        measured = False  # reading it says what is wrong
+        measured = False  # read_episode says what is wrong
     if measured:
         return read_episode(path, MeasuredArmFilm)
     film = read_episode(path, ArmFilm)
@@ -101,7 +101,7 @@ class ArmRecording(Recording):
 
 
 def read_hand(path: Path, rate: float = 5.0) -> Recording:
-    """A hand's demonstration at `rate` [Hz]: the frames from its video, the truth from the episode `path` beside it."""
+    """A hand's demonstration at `rate` [Hz]: the ground truth from the episode `path`, the frames from its .avi."""
     truth = read_episode(path, GroundTruth)
     images = read_demonstration(path.with_suffix(".avi"), rate=rate, size=truth.bottle.shape[1])
     chosen = sample_indices(len(truth.times), 1 / (truth.times[1] - truth.times[0]), rate)

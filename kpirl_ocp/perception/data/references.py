@@ -15,7 +15,7 @@ from kpirl_ocp.types import Array
 # Where the bottle may be in the plane of the camera [m, m, rad]: above the shelf and well inside the image.
 _NEAR, _FAR = np.array([0.50, 0.42, -0.3]), np.array([0.76, 0.72, 0.3])
 IN_PLANE = np.array([False, True, False, True, False, True, False])  # joints 2, 4 and 6
-_MARGIN = 25.0  # the middle of the bottle stays this far from the image's edge [pixels]
+_MARGIN = 25.0  # least distance of the middle of the bottle from the image's edge [pixels]
 SHELF = 0.415  # height of the middle of a bottle that stands on the shelf [m]
 
 

@@ -1,8 +1,8 @@
-"""Random surroundings for rendered clips (domain randomisation, Tobin et al., 2017): the object alone stays itself.
+"""Random surroundings for rendered clips (domain randomisation, Tobin et al., 2017); only the object stays as it is.
 
 Level 0 is the white wall. Level 1 is a plain wall of any colour. Level 2 has all at once: a cluttered wall, other
 colours of all bodies, a light gradient and another colour of light, another size, camera shake, noise and H.264.
-Level 3 draws one of the three for every clip.
+Level 3 draws one of the other levels for every clip.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.scene.frame import Frame
 from kpirl_ocp.types import Array
 
-SURROUNDINGS_HELP = "0: white wall, 1: plain wall of any colour, 2: clutter, light, shake, noise and H.264, 3: any"
 _SHARES = (0.2, 0.3, 0.5)  # of the levels 0, 1 and 2 at level 3
 _SHAPES = 40  # on a cluttered wall
 _TINTS, _OBJECT_TINT = 0.5, 0.15  # largest change of a body's colour, and of the object's
@@ -32,7 +31,7 @@ _ZOOM, _SHAKE, _NOISE = 0.1, 1.5, 8.0  # of the size, [pixels] and [grey levels]
 
 
 def filmed(frames: Sequence[Frame], level: int, rng: np.random.Generator) -> list[Frame]:
-    """The frames of a clip in surroundings of a level. Raises ProblemError for another level than 0 to 3."""
+    """The frames of a clip in surroundings of a level. Raises ProblemError unless it is 0, 1, 2 or 3."""
     if level not in range(4):
         raise ProblemError(f"surroundings must be 0, 1, 2 or 3, got {level}.")
     level = int(rng.choice(3, p=_SHARES)) if level == 3 else level
@@ -40,24 +39,24 @@ def filmed(frames: Sequence[Frame], level: int, rng: np.random.Generator) -> lis
         return list(frames)
     shape = frames[0].rgb.shape
     if level == 1:
-        return _before(frames, np.broadcast_to(rng.integers(0, 256, 3), shape).astype(np.uint8))
-    frames = _tinted(_before(frames, clutter(rng, *shape[:2])), rng)
+        return _in_front_of(frames, np.broadcast_to(rng.integers(0, 256, 3), shape).astype(np.uint8))
+    frames = _tinted(_in_front_of(frames, clutter(rng, *shape[:2])), rng)
     return _compressed(_noisy(_lit(_shaken(frames, rng), rng), rng), int(rng.integers(20, 34)))
 
 
 def random_view(frame: Frame, rng: np.random.Generator) -> Frame:
-    """One frame in surroundings that are drawn for it alone, compressed as a picture; `place` may be several points."""
+    """One frame in surroundings of its own, compressed as a picture; its `place` may be several points."""
     level = int(rng.choice(3, p=_SHARES))
     if level < 2:
         return filmed([frame], level, rng)[0]
     wall = textured(clutter(rng, *frame.rgb.shape[:2]), rng)
-    view = _noisy(_lit(_shaken(_tinted(_before([frame], wall), rng), rng), rng), rng)[0]
+    view = _noisy(_lit(_shaken(_tinted(_in_front_of([frame], wall), rng), rng), rng), rng)[0]
     _, data = cv2.imencode(".jpg", view.rgb, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(*_JPEG))])
     return _with(view, np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8))
 
 
 def without_bottle(frame: Frame) -> Frame:
-    """The frame with the wall where the bottle was, its edge with it."""
+    """The frame with white wall in the place of the bottle and its edge."""
     there = cv2.dilate(frame.bottle.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     rgb = np.where(there[..., None], np.uint8(255), frame.rgb)
     return Frame(rgb, np.zeros_like(frame.bottle), frame.place, np.where(there, -1, _parts(frame)))
@@ -90,7 +89,7 @@ def clutter(rng: np.random.Generator, height: int, width: int) -> Frames:
     return wall
 
 
-def _before(frames: Sequence[Frame], wall: Frames) -> list[Frame]:
+def _in_front_of(frames: Sequence[Frame], wall: Frames) -> list[Frame]:
     """The frames with another wall behind everything."""
     return [_with(frame, np.where((_parts(frame) < 0)[..., None], wall, frame.rgb)) for frame in frames]
 
@@ -149,7 +148,7 @@ def _compressed(frames: Sequence[Frame], quality: int) -> list[Frame]:
 
 def _parts(frame: Frame) -> NDArray[np.int64]:
     if frame.parts is None:
-        raise ProblemError("surroundings need frames that tell their parts.")
+        raise ProblemError("surroundings need frames with `parts`, which say what each pixel shows.")
     return frame.parts
 
 

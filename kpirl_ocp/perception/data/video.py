@@ -1,4 +1,4 @@
-"""Videos and folders of pictures, read by time in memory of the result's size, at the size and rate that is needed."""
+"""Videos and folders of pictures, read frame by frame at the size and rate that is needed."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from kpirl_ocp.types import Indices
 
 Frames = NDArray[np.uint8]  # (n, H, W, 3) RGB
 
-_REPEATED = 0.1  # share of the samples that may show the same frame as the one before
-_PAUSE = 1000  # so many may in any case, before the rest is read: times in a file are what its maker wrote
+_REPEATED = 0.1  # largest share of the samples that may show the same frame as the one before
+_PAUSE = 1000  # samples that may do so in any case, while frames are read: the times in a file may be wrong
 
 T = TypeVar("T")
 
@@ -36,12 +36,12 @@ def iterate_frames(
         end: [s] of the last frame; the file may be damaged after it.
 
     Raises:
-        FileError: the file is missing, no video, of an unknown codec or incomplete; the message names it.
+        FileError: the file is missing, no video, of an unknown codec or incomplete.
     """
     path = Path(path)
     if path.is_dir() and source_rate is None:
         pictures_in(path)  # refuses a folder without any
-        raise FileError(f"{path} is a folder of images: say its frame rate with source_rate (--source-rate).")
+        raise FileError(f"{path} is a folder of images: give its frame rate with source_rate (--source-rate).")
     if path.is_file() and path.suffix.lower() in PICTURE_SUFFIXES:
         raise FileError(f"{path} is one picture, which shows no motion: give a video, or a folder of pictures.")
     if not path.is_dir() and source_rate is not None:
@@ -124,7 +124,7 @@ def _paced(images: Iterable[Frames], rate: float) -> Iterator[tuple[float, Frame
 
 
 def _noting(items: Iterable[tuple[float, T]], times: list[float]) -> Iterator[tuple[float, T]]:
-    """The items, whose times are noted on the way."""
+    """The same items; their times are appended to `times`."""
     for item in items:
         times.append(item[0])
         yield item

@@ -184,7 +184,7 @@ def _share_on(points: Array, masks: Mask) -> Array:
 
 def _reduced(frame: Frame, size: int) -> Frame:
     if frame.parts is None:
-        raise TrainingError("training in random surroundings needs frames that tell their parts.")
+        raise TrainingError("training in random surroundings needs frames with `parts`, the body in each pixel.")
     rows, columns = (((np.arange(size) + 0.5) * length / size).astype(int) for length in frame.bottle.shape)
     rgb = np.asarray(cv2.resize(frame.rgb, (size, size), interpolation=cv2.INTER_AREA), np.uint8)
     return Frame(rgb, frame.bottle[rows][:, columns], frame.place, frame.parts[rows][:, columns])
