@@ -1,4 +1,4 @@
-"""Continuous time: a pendulum on a cart as implicit equations M(s) a = F, by collocation and by other integrators."""
+"""Continuous time: a pendulum on a cart, stated implicitly as M(s) a = F, by collocation and by other integrators."""
 
 import casadi as ca
 

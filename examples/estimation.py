@@ -1,4 +1,4 @@
-"""Moving-horizon estimation: the initial state is free, with a prior, and so are the disturbances."""
+"""Moving-horizon estimation: the initial state, which has a prior, and the disturbances are decisions."""
 
 import casadi as ca
 import numpy as np
@@ -25,4 +25,4 @@ problem = OCP.from_expressions(
 )
 solution = Riccati().solve(problem, [0.0, 0.0]).raise_if_failed()
 for name, t in (("first", 0), ("last", -1)):
-    print(f"{name} state {solution.states[t].round(3)}, in truth {true[t].round(3)}")
+    print(f"{name} state {solution.states[t].round(3)}, true {true[t].round(3)}")

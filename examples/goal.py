@@ -1,4 +1,4 @@
-"""A goal to be met exactly, along a curve: equalities at the end and at every stage."""
+"""Reach a goal exactly, along a curve: equalities at the end and at every stage."""
 
 import casadi as ca
 

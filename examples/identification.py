@@ -1,4 +1,4 @@
-"""No actions: stiffness and damping of an oscillator from its measured motion, its first speed too."""
+"""Identification, without actions: stiffness, damping and initial speed of an oscillator from its measured motion."""
 
 import casadi as ca
 import numpy as np
@@ -22,4 +22,4 @@ problem = OCP.from_expressions(
     horizon=T,
 )
 solution = Riccati().solve(problem, [1.0, 0.0]).raise_if_failed()
-print(f"stiffness and damping {problem.static_of(solution).round(4)}, first speed {solution.states[0, 1]:.4f}")
+print(f"stiffness and damping {problem.static_of(solution).round(4)}, initial speed {solution.states[0, 1]:.4f}")

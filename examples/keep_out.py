@@ -1,4 +1,4 @@
-"""Keep out of a disc, the last state too, and end within a small one: inequalities on states alone and at the end."""
+"""Keep out of a disc, also at the last state, and end within a small one: inequalities on states and at the end."""
 
 import casadi as ca
 import numpy as np

@@ -1,4 +1,4 @@
-"""Learning from demonstrations of different lengths, one of them seen at three moments only, within bounds."""
+"""Learn, within bounds, from demonstrations of different lengths, of which one shows only three time steps."""
 
 import casadi as ca
 import numpy as np
@@ -25,4 +25,4 @@ demonstrations = [
 ]
 method = Implicit(loss=KeyFrames())
 result = learn(mass, demonstrations, [1.0, 1.0], method, LBFGS(), bounds=(1e-3, 10.0), progress=False)
-print(f"ratio of the weights {result.psi[0] / result.psi[1]:.3f}, in truth {truth[0] / truth[1]:.3f}; {result}")
+print(f"ratio of the weights {result.psi[0] / result.psi[1]:.3f}, true {truth[0] / truth[1]:.3f}; {result}")

@@ -24,4 +24,4 @@ state, plan, reference = np.zeros(2), None, 0.5 * dt * np.arange(100)  # a targe
 for k in range(80):
     plan = Riccati().solve(problem, state, context=reference[k : k + T + 1], guess=plan).raise_if_failed()
     state = plan.states[1]  # here the plant is the model
-print(f"after 8 s off the target by {abs(state[0] - reference[80]):.0e} m; {plan.iterations} iterations for a solve")
+print(f"after 8 s, {abs(state[0] - reference[80]):.0e} m from the target; {plan.iterations} iterations in a solve")

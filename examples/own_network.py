@@ -1,4 +1,4 @@
-"""Plan through a network as people have them: residual, normalised, GELU; trained in torch (extra `torch`)."""
+"""Plan with a typical network as dynamics: residual, LayerNorm, GELU; from torch (extra `torch`)."""
 
 import casadi as ca
 import torch
@@ -26,4 +26,4 @@ network, s, u = from_torch(model, 2, 1), ca.MX.sym("s", 2), ca.MX.sym("u")
 problem = OCP.from_expressions(state=s, action=u, dynamics=network(s, u), stage_cost=ca.sumsqr(s) + u**2, horizon=20)
 plan = Riccati().solve(problem, [0.2, 0.0])
 following = model(torch.tensor(plan.states[:1]).float(), torch.tensor(plan.actions[:1]).float())[0].detach().numpy()
-print(f"{plan.status.name}; torch goes the same way but for {abs(following - plan.states[1]).max():.0e}")
+print(f"{plan.status.name}; torch predicts the same next state, to {abs(following - plan.states[1]).max():.0e}")

@@ -13,15 +13,15 @@ problem = OCP.from_expressions(
     state=s,
     action=u,
     static=q,
-    stage=d,  # reference, and 1 at the first stage alone
+    stage=d,  # reference, and 1 at the first stage only
     schedule=np.column_stack([np.sign(np.sin(phase)), np.arange(T + 1) == 0]),
     dynamics=ca.vertcat(s[0] + dt * s[1], s[1] + dt * u),
     stage_cost=(s[0] - d[0]) ** 2 + 0.01 * u**2,
     initial_bounds=(-np.inf, np.inf),
-    path_equality=d[1] * (s - q),  # s_0 = q; later on it is switched off
+    path_equality=d[1] * (s - q),  # s_0 = q; switched off at later stages
     terminal_equality=s - q,
     horizon=T,
 )
 solution = Riccati().solve(problem, [0.0, 0.0]).raise_if_failed()
 gap = np.abs(solution.states[-1] - solution.states[0]).max()
-print(f"from {solution.states[0, :2].round(4)} back to itself but for {gap:.0e}; cost {solution.objective:.5f}")
+print(f"from {solution.states[0, :2].round(4)} and back, to within {gap:.0e}; cost {solution.objective:.5f}")

@@ -13,7 +13,7 @@ problem = OCP.from_expressions(
     dynamics=ca.vertcat(s[0] + dt * s[1], s[1] + dt * u),
     stage_cost=(s[0] - 1) ** 2 + 0.1 * u**2,
     terminal_cost=(s[0] - 1) ** 2,
-    soft=Soft(s[0] - 0.5, linear=price, quadratic=1.0),  # also of s_T, because it does not depend on u
+    soft=Soft(s[0] - 0.5, linear=price, quadratic=1.0),  # also at s_T, because it does not depend on u
     horizon=T,
 )
 for value in (0.1, 1.0, 10.0):

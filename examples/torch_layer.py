@@ -11,7 +11,7 @@ problem = OCP.from_expressions(
     state=s, action=u, parameters=target, dynamics=s + u, stage_cost=(s - target) ** 2 + u**2,
     action_bounds=(-0.4, 0.4), horizon=8,
 )  # fmt: skip
-layer = OCPLayer(problem, policy="mask")  # an instance whose gradient is not certified is left out
+layer = OCPLayer(problem, policy="mask")  # leaves out instances whose gradient is not certified
 
 torch.manual_seed(0)
 sights = torch.linspace(-1, 1, 12).double()[:, None]

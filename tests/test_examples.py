@@ -11,18 +11,18 @@ import pytest
 
 FOLDER = Path(__file__).parents[1] / "examples"
 EXAMPLES = sorted(path.name for path in FOLDER.glob("*.py"))
-PRINTED = {  # closed forms, or what the data were made with
+PRINTED = {  # closed forms, or the numbers that the data were made with
     "minimum_time.py": r"time 2\.000000 s, switching after 10 of 20 steps",
     "goal.py": r"ends at \[1\. 1\.\], off the curve by \de-1\d;",
     "keep_out.py": r"smallest distance 0\.500000 of 0\.5; CONVERGED",
-    "identification.py": r"stiffness and damping \[4\.  0\.2\], first speed -0\.1000",
+    "identification.py": r"stiffness and damping \[4\.  0\.2\], initial speed -0\.1000",
     "phases.py": r"durations \[2\. 1\.\], top speed 2\.000000",
-    "periodic.py": r"back to itself but for \de-1\d;",
+    "periodic.py": r"and back, to within \de-1\d;",
     "differential_equation.py": r"(?s)midpoint +CONVERGED.*collocation +CONVERGED.*idas +CONVERGED",
     "torch_layer.py": r"error of the actions [0-9.]+e-03, of the targets 0\.0",
-    "own_network.py": r"CONVERGED; torch goes the same way but for \de-0[89]",
-    "learning.py": r"ratio of the weights 8\.000, in truth 8\.000; loss 0\.9282 -> [\d.]+e-(1[2-9]|2\d)",
-    "moving_reference.py": r"off the target by \de-1\d m",
+    "own_network.py": r"CONVERGED; torch predicts the same next state, to \de-0[89]",
+    "learning.py": r"ratio of the weights 8\.000, true 8\.000; loss 0\.9282 -> [\d.]+e-(1[2-9]|2\d)",
+    "moving_reference.py": r"after 8 s, \de-1\d m from the target",
     "soft.py": r"price 10\.0: highest position 0\.5000",
 }
 
