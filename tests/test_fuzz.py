@@ -41,7 +41,7 @@ def refused(call):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_statements_of_anything(seed):
+def test_a_statement_of_anything_is_a_problem_or_refused_in_one_line(seed):
     draw, count = random.Random(seed), 0
     for _ in range(30):
         changes = {name: draw.choice(ANYTHING) for name in draw.sample(FIELDS, draw.choice([1, 2]))}
@@ -50,7 +50,7 @@ def test_statements_of_anything(seed):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_arguments_of_anything(seed):
+def test_a_solve_with_any_arguments_ends_in_a_status_or_is_refused_in_one_line(seed):
     draw, count = random.Random(seed), 0
     problems = [state(), *(CASES[name]().problem for name in ("bounds of parameters", "soft constraints"))]
     for _ in range(8):
@@ -64,7 +64,7 @@ def test_arguments_of_anything(seed):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_identification_of_anything(seed):
+def test_an_identification_of_anything_has_an_answer_or_is_refused_in_one_line(seed):
     draw, count, seen = random.Random(seed), 0, planned()
     anything = [*ANYTHING, state(), seen, [seen, None], [Demonstration([0], [], [[0]])]]
     arguments = {"problem": one_step(), "demonstrations": [seen], "psi": [Q, R], "spread": 1.0, "noise": 1.0}
@@ -80,7 +80,7 @@ def test_identification_of_anything(seed):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_discretisations_of_anything(seed):
+def test_a_discretisation_of_anything_is_an_expression_or_refused_in_one_line(seed):
     draw, count, s, u = random.Random(seed), 0, ca.MX.sym("s", 2), ca.MX.sym("u")
     arguments = {"ode": ca.vertcat(s[1], u), "state": s, "step": 0.1, "method": "rk4", "intervals": 1, "degree": 3}
     arguments |= {"algebraic": None, "residual": None}
@@ -96,8 +96,8 @@ def huge(value):
 
 
 @pytest.mark.parametrize("solver", SOLVERS[:1] + SOLVERS[3:4], ids=repr)
-def test_arrays_of_jax(solver):
-    """They are numbers like others; what has none yet, as under jit, is refused."""
+def test_arrays_of_jax_are_numbers_like_others_and_tracers_are_refused(solver):
+    """Tracers, as under jit, have no numbers yet."""
     jax = pytest.importorskip("jax")
     problem, count = state(), 0
     arguments = {"s0": [0, 0], "psi": [0.05, 0.3][: problem.n_parameters], "context": [], "guess": None}

@@ -26,7 +26,7 @@ def test_the_networks_are_asked_for_with_the_command_that_brings_them(monkeypatc
         hand_files.network("palm")
 
 
-def test_the_extra_is_asked_for(monkeypatch):
+def test_without_its_extra_a_hand_is_not_looked_for_and_the_error_names_the_extra(monkeypatch):
     monkeypatch.setattr(hands, "Interpreter", None)
     hands._interpreter.cache_clear()
     with pytest.raises(DependencyError, match=r"kpirl-ocp\[hands\]"):

@@ -101,7 +101,7 @@ def test_the_data_set_that_is_spoiled_here_is_read(tmp_path):
 
 
 @SEEDS
-def test_spoiled_metadata_of_lerobot(seed, tmp_path):
+def test_spoiled_metadata_of_lerobot_are_read_or_refused_in_one_sentence(seed, tmp_path):
     draw, count = random.Random(seed), 0
     for number in range(30):
         info, episodes = (spoil(draw, INFO), EPISODES) if number % 2 else (INFO, spoil(draw, EPISODES))
@@ -111,7 +111,7 @@ def test_spoiled_metadata_of_lerobot(seed, tmp_path):
 
 
 @SEEDS
-def test_spoiled_tables_of_lerobot(seed, tmp_path):
+def test_spoiled_tables_of_lerobot_are_read_or_refused_in_one_sentence(seed, tmp_path):
     draw, count = random.Random(seed), 0
     for number in range(30):
         columns = TABLE | {draw.choice(sorted(TABLE)): draw.choice(COLUMNS)}
@@ -125,8 +125,7 @@ def test_spoiled_tables_of_lerobot(seed, tmp_path):
 
 
 @SEEDS
-def test_damaged_bytes(seed, tmp_path):
-    """Of every kind of file: some bytes are others, or the end is missing."""
+def test_files_with_damaged_bytes_or_without_their_end_are_read_or_refused_in_one_sentence(seed, tmp_path):
     draw = random.Random(seed)
     root = data_set(tmp_path / "set", INFO, EPISODES.values(), TABLE)
     np.savez_compressed(tmp_path / "run.npz", u=np.ones((40, 2)))
@@ -159,7 +158,7 @@ def robomimic(path: Path, demo, name="demo_0", arguments='{"env_kwargs": {"contr
 
 
 @SEEDS
-def test_spoiled_files_of_robomimic(seed, tmp_path):
+def test_spoiled_files_of_robomimic_are_read_or_refused_in_one_sentence(seed, tmp_path):
     draw, count, path = random.Random(seed), 0, tmp_path / "demos.hdf5"
     for _ in range(30):
         demo = {key: draw.choice(ARRAYS) for key in draw.sample(["actions", "obs/q", "states", "obs", "dones/a"], 2)}
@@ -176,7 +175,7 @@ def test_spoiled_files_of_robomimic(seed, tmp_path):
 
 
 @SEEDS
-def test_arrays_of_anything(seed, tmp_path):
+def test_any_arrays_in_npz_are_read_or_refused_in_one_sentence(seed, tmp_path):
     draw, count, path = random.Random(seed), 0, tmp_path / "run.npz"
     for _ in range(40):
         np.savez(path, u=np.asarray(draw.choice(ARRAYS)), t=np.asarray(draw.choice(ARRAYS)))
@@ -186,7 +185,7 @@ def test_arrays_of_anything(seed, tmp_path):
 
 
 @SEEDS
-def test_tables_of_anything(seed, tmp_path):
+def test_any_table_in_csv_is_read_or_refused_in_one_sentence(seed, tmp_path):
     draw, count, path = random.Random(seed), 0, tmp_path / "run.csv"
     cells = ["1", "2", "", "a", "nan", "inf", "1e999", '"', '"1"', "\0", "1_0", " 3", "٣", "0x1"]
     for _ in range(40):

@@ -237,7 +237,7 @@ ERRORS = {
 
 
 @pytest.mark.parametrize("case", ERRORS)
-def test_is_a_problem_error(case):
+def test_an_impossible_cost_is_refused_with_what_was_expected(case):
     call, message = ERRORS[case]
     with pytest.raises(ProblemError, match=message):
         call()

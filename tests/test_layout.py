@@ -163,7 +163,7 @@ def test_the_checker_accepts_what_is_allowed():
 
 
 @pytest.mark.parametrize("case", FORBIDDEN)
-def test_the_checker_reports(case):
+def test_the_checker_reports_a_forbidden_import_or_shape(case):
     path, source, fault = FORBIDDEN[case]
     faults = House(PACKAGE | ALLOWED | {path: source}).faults()
     assert fault in faults

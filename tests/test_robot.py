@@ -122,7 +122,7 @@ CLOSED_FORMS = {  # link, point on it, (slide, turn, skew), world position
 
 
 @pytest.mark.parametrize("case", CLOSED_FORMS)
-def test_closed_form(case, urdf):
+def test_a_joint_moves_its_link_as_in_closed_form(case, urdf):
     link, point, theta, expected = CLOSED_FORMS[case]
     robot = Robot.from_urdf(urdf(TREE), {link: point})
     np.testing.assert_allclose(robot.locate(np.array(theta)), [expected], rtol=0, atol=1e-14)
