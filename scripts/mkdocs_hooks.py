@@ -1,4 +1,4 @@
-"""For the pages: the examples, which lie beside `docs`, become part of the site, so that links to them lead there."""
+"""Hooks of MkDocs: the examples, which are next to `docs`, become part of the site, so that links to them work."""
 
 from pathlib import Path
 from typing import Any

@@ -19,6 +19,7 @@ import yaml
 from exported import STRICT, built
 
 import kpirl_ocp
+from kpirl_ocp import viewing
 from kpirl_ocp.cli.commands.export import SOLVERS as EXPORT_SOLVERS
 from kpirl_ocp.cli.commands.learn import OPTIMISERS
 from kpirl_ocp.cli.directory import results_in
@@ -212,7 +213,7 @@ WRONG = {  # words, beginning of the sentence
     "solve objects.py:pair": "objects.py: 'pair' is not a function, but of type tuple. Give a function; it must return "
     "an OCP and a dictionary with its numbers.",
     "solve own.py:without_start": "own.py:without_start: the numbers have no 's0', which must be of shape (2,).",
-    "solve own.py:misspelt": "own.py:misspelt: no number is called 'contxt': did you mean 'context'?",
+    "solve own.py:misspelt": "own.py:misspelt: there is no number 'contxt': did you mean 'context'?",
     "solve own.py:too_short": "own.py:too_short: psi must be finite and of shape (2,), got [0.8].",
     "solve own.py:alone": "own.py:alone: it must return an OCP and a dictionary with its numbers, not OCP, "
     'such as `return problem, {"s0": [0, 0], "psi": [0, 0]}`.',
@@ -261,8 +262,8 @@ WRONG = {  # words, beginning of the sentence
     "evaluate --demonstrations . --cost empty.json": "--cost: empty.json is not a learned cost: it has no 'effort'.",
     "evaluate --demonstrations . --cost list.json": "--cost: list.json is not a learned cost: "
     "it must be an object, got [].",
-    "evaluate --demonstrations . --cost visual.json": "--cost: visual.json is not a learned cost: it is one over "
-    "detected keypoints, with which to plan, or export, by `kpirl learn-video FILM --detector CARD --dynamics CARD "
+    "evaluate --demonstrations . --cost visual.json": "--cost: visual.json is not a learned cost: it is a cost over "
+    "detected keypoints: plan with it, or export it, by `kpirl learn-video FILM --detector CARD --dynamics CARD "
     "--cost visual.json [--export]`.",
     "evaluate --demonstrations . --cost bytes": "--cost: bytes is not a learned cost: "
     "it is not text in UTF-8: invalid start byte at byte 2.",
@@ -483,6 +484,7 @@ def test_the_plan_of_an_arm_is_written_for_rerun(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "rerun", None)
     sentence = '`kpirl solve` needs rerun, which is not installed: pip install "kpirl-ocp[rerun]".'
     monkeypatch.delitem(sys.modules, "kpirl_ocp.viewing.rerun_file", raising=False)
+    monkeypatch.delitem(vars(viewing), "write_rerun", raising=False)  # where an earlier call has left it
     assert refusal(["solve", "--horizon", "2", "--rerun"], capsys) == sentence
     monkeypatch.undo()
     pytest.importorskip("rerun")

@@ -116,7 +116,9 @@ COSTS = {  # what is changed in a learned cost.json, end of the sentence
     "rate must be a number of at least 0, got nan.": {"rate": float("nan")},
     "kind must be one of gradient_descent, riccati, ipopt, got 'newton'.": {"solver": {"kind": "newton"}},
     "holds 1 numbers psi, and its cost has 9.": {"psi": [1.0]},
-    "is for keypoints of panda, seen or held: use `kpirl learn-video --cost`.": {"arm": {"robot": "panda"}},
+    "is for panda as in a film, not for the iiwa's own keypoints: use `kpirl learn-video --cost`.": {
+        "arm": {"robot": "panda"}
+    },
     "effort must be one number or one per step": {"effort": [1.0, 2.0]},
 }
 

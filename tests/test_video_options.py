@@ -114,7 +114,7 @@ def test_tracks_do_not_tell_the_size_of_the_object(refused, tmp_path):
     (tmp_path / "tracks.csv").write_text("point,x,y,time\n1,2,3,0\n1,3,3,1\n")
     tracks = f"--tracks {tmp_path / 'tracks.csv'}"
     assert "error: --tracks: needs --scale, the pixels of the arm's camera per pixel of the film" in refused(tracks)
-    assert "--object-size: --tracks does not tell how many pixels long" in refused(f"{tracks} --object-size 0.2")
+    assert "--object-size: --tracks does not say how many pixels long" in refused(f"{tracks} --object-size 0.2")
     assert "error: --detector: needs --scale" in refused(DETECTOR)
 
 
@@ -170,7 +170,7 @@ def npz(**arrays):
 @pytest.mark.parametrize(
     ("tracks", "words", "message"),
     [
-        (None, "--source-rate 10", "--source-rate: {film} has times of its own; it is for pictures and --tracks"),
+        (None, "--source-rate 10", "--source-rate: {film} has its own times; the option is for pictures and --tracks"),
         (
             npz(),
             "--source-rate 20",

@@ -1,4 +1,4 @@
-"""Several demonstrations at once: ours beside JAX `vmap`."""
+"""Several demonstrations at once: ours and JAX `vmap`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ordinary control problems: `Riccati` with no settings given, beside compiled Ipopt, and QP solvers for QPs.
+"""Ordinary control problems: `Riccati` with default settings, compiled Ipopt, and QP solvers for QPs.
 
 Every solver starts from no action. First solves are those of a problem that nobody has solved before.
 """

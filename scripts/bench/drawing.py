@@ -1,4 +1,4 @@
-"""The figure: one panel per part that was run, two beside each other, so that their text can be read on a page."""
+"""The figure: one panel per part that was run, two side by side, so that their text is legible on a page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The implicit gradient beside the solve that it follows, and beside unrolling."""
+"""The implicit gradient, compared with the solve that it follows and with unrolling."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The problems of the benchmark: networks with random weights beside the shipped one (`placing_case`)."""
+"""The problems of the benchmark: networks with random weights, and the shipped one (`placing_case`)."""
 
 from __future__ import annotations
 

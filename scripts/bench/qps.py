@@ -92,7 +92,7 @@ def qp(horizon: int, limit: float) -> OCP:
 
 
 def measure(preset: Preset) -> Part:
-    """Solves and gradients of all, on one and two threads, beside mpc.pytorch on two."""
+    """Solves and gradients of all, on one and two threads, and by mpc.pytorch on two."""
     numbers: Numbers = {}
     rows = []
     for name, limit in LIMITS.items():

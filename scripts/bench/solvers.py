@@ -1,4 +1,4 @@
-"""The bounded OCP solved to the end: ours beside Fatrop, Ipopt on the plain MX graph, and Ipopt with our derivatives.
+"""The bounded OCP solved to the end: ours, Fatrop, Ipopt on the plain MX graph, and Ipopt with our derivatives.
 
 Gradients differ in size from model to model, and a tolerance that is relative to them says little about the objective.
 So every solver's objective is compared with that of a reference solved to 1e-10.

@@ -1,6 +1,6 @@
 """Wall times of several contenders, taken in turns, so that whatever else the machine does hits all of them alike.
 
-Processor time is taken beside it: on one thread and a quiet machine it is the same.
+Processor time is measured, too: on one thread and a quiet machine it is the same.
 """
 
 from __future__ import annotations

@@ -40,8 +40,8 @@ ROWS = (
     Row(
         "A.1",
         "Keypoint predictor with 100 and 25 neurons and ReLU; joints integrate the action.",
-        "differs: tanh in the shipped models, so that a converged plan can be differentiated (ReLU is measured beside "
-        "it), and the network predicts the change of the keypoints. Joints and velocities: same",
+        "differs: tanh in the shipped models, so that a converged plan can be differentiated (ReLU is measured, "
+        "too), and the network predicts the change of the keypoints. Joints and velocities: same",
     ),
     Row(
         "A.3",
@@ -50,7 +50,7 @@ ROWS = (
     ),
     Row(
         "A.3",
-        "Detector at 30 Hz beside a controller at 5 Hz or 1 Hz, asynchronous.",
+        "Detector at 30 Hz and a controller at 5 Hz or 1 Hz, asynchronous.",
         "same in a table (reaching) and a condition of their own (robustness); elsewhere the detector looks when the "
         "controller asks, and the simulation waits",
     ),
@@ -188,7 +188,7 @@ ROWS = (
         "TimeDep and RBF do much better than Default; Weighted on one start only (Table 1).",
         claims=("Placing from start 1, one step", "Placing from start 2, one step", "Placing, one step"),
     ),
-    Row("5.2.1", "Standard deviations over executions.", "same, beside those over seeds"),
+    Row("5.2.1", "Standard deviations over executions.", "same, in addition to those over seeds"),
     Row("5", "Hardware: a Kuka iiwa and a camera.", "not tested: all of it is simulated (PyBullet)"),
     Row(
         "6",

@@ -1,4 +1,4 @@
-"""The report on what the weights mean: which ones the data determine, x beside y, and a background keypoint."""
+"""The report on what the weights mean: which ones the data determine, x against y, and a background keypoint."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def _sentence(determined: Array) -> str:
 
 
 def x_and_y(page: Page, outcome: Outcome) -> None:
-    """Weights on y beside those on x in reaching, and what each axis is worth."""
+    """Weights on y and on x in reaching, and what each axis is worth."""
     page.text(
         "The object moves along x alone, and the paper's costs give y little weight. How large weights end depends on "
         "where they start; how firmly an axis is held is weight times squared gain. Test loss as learned, and with the "

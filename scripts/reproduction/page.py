@@ -1,4 +1,4 @@
-"""One self-contained page: headings, text, tables, and figures as SVG, which also go to files beside it."""
+"""One self-contained page: headings, text, tables, and figures as SVG, which are also written to files next to it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.pictures import svg_file
+from kpirl_ocp.reporting import cell
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -62,8 +63,8 @@ class Page:
         self._parts.append(f"<p>{html.escape(text)}</p>")
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[Any]], note: str = "") -> None:
-        """A table; numbers get four digits. All columns of text begin at the left, and the first one in any case."""
-        cells = [[_cell(value) for value in row] for row in rows]
+        """A table; numbers get four digits. Columns of text are aligned to the left, and so is the first one."""
+        cells = [[cell(value) for value in row] for row in rows]
         columns = enumerate(zip(header, *cells, strict=True))
         kinds = [_kind(column[1:]) if place else "" for place, column in columns]
         lines = [_row("th", header, kinds), *(_row("td", row, kinds) for row in cells)]
@@ -86,7 +87,7 @@ class Page:
         self._parts.append(f"<pre>{html.escape(text)}</pre>")
 
     def write(self, path: Path) -> Path:
-        """The page on disk; it appears whole or not at all. Its figures are figure_01.svg, ... beside it."""
+        """Write the page, whole or not at all, and its figures figure_01.svg, ... next to it."""
         for number, data in enumerate(self._figures, 1):
             with atomic_write(path.with_name(f"figure_{number:02d}.svg")) as file:
                 file.write(data)
@@ -113,10 +114,6 @@ def _kind(column: Sequence[str]) -> str:
 
 
 def _numeric(column: Sequence[str]) -> bool:
-    """Most of its cells that are not empty are numbers, maybe with a unit."""
+    """True if most of the cells that are not empty are numbers, maybe with a unit."""
     filled = [cell for cell in column if cell]
     return 2 * sum(bool(re.match(r"\(?-?\d", cell)) and len(cell) < 24 for cell in filled) > len(filled)
-
-
-def _cell(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -86,7 +86,7 @@ class Condition:
     """A disturbed condition.
 
     model_gain: the model's keypoints move this many times as far as they were trained to.
-    asynchronous: the detector runs beside the controller at 30 Hz.
+    asynchronous: the detector runs in parallel with the controller, at 30 Hz.
     """
 
     disturbance: Disturbance = Disturbance()

@@ -24,7 +24,7 @@ from reproduction.settings import Preset
 from reproduction.sweep import Job, Result
 
 RATE = 5  # [Hz]
-LOOPS = ("open", "closed", "asynchronous")  # the last: closed, with a detector that runs beside it at 30 Hz
+LOOPS = ("open", "closed", "asynchronous")  # the last: closed, with a parallel detector at 30 Hz
 
 
 def jobs(

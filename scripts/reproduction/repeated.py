@@ -1,4 +1,4 @@
-"""One cost, several executions: the spread that the paper's Table 1 shows, beside that over seeds.
+"""One cost, several executions: the spread that the paper's Table 1 shows, in addition to that over seeds.
 
 A real arm never does the same twice. Here the start is off by up to 0.01 rad a joint, and the camera has noise.
 """

@@ -133,7 +133,7 @@ def _reaching(page: Page, outcome: Outcome) -> None:
     rows = [
         [c.label, *(cell for loop in reaching.LOOPS for cell in _played(outcome, c, loop))] for c in REACHING_EXECUTED
     ]
-    loops = ("open loop", "closed loop (MPC)", "closed, detector beside at 30 Hz")
+    loops = ("open loop", "closed loop (MPC)", "closed, with a parallel detector at 30 Hz")
     page.table(["cost", *(head for loop in loops for head in (loop, "tracking [mrad]"))], rows)
 
 
@@ -263,7 +263,7 @@ def _demonstration(outcome: Outcome, seed: int) -> tuple[Array, Array, Array]:
 
 
 def _table_1(page: Page, outcome: Outcome) -> None:
-    page.heading("Squared keypoint distance to the goal [px²], beside the paper's Table 1", 3)
+    page.heading("Squared keypoint distance to the goal [px²], and the paper's Table 1", 3)
     rows: list[list[Any]] = []
     for start in STARTS:
         for one_step, letter, more_steps in _TABLE_1:

@@ -17,7 +17,7 @@ _HIDING = Disturbance(hidden=1, patch=60, since=4, until=11)  # to the end
 _CONFIDENCE = 0.8  # about one in a hundred of the training data's mu is lower, for the keypoint that varies most
 CONDITIONS: Mapping[str, Condition] = {
     "as trained": Condition(),
-    "detector beside, 30 Hz": Condition(asynchronous=True),
+    "parallel detector, 30 Hz": Condition(asynchronous=True),
     "camera noise": Condition(Disturbance(noise=20.0)),
     "wrong model": Condition(model_gain=1.5),
     "another start": Condition(),

@@ -25,7 +25,8 @@ def cost_of_the_iiwa(path: Path, robot: Robot) -> LearnedCost:
         setting = learned.setting
         if setting.robot != "iiwa" or setting.keypoints or setting.camera:
             raise FileError(
-                f"{path} is for keypoints of {setting.robot}, seen or held: use `kpirl learn-video --cost`."
+                f"{path} is for {setting.robot} as in a film, not for the iiwa's own keypoints: "
+                "use `kpirl learn-video --cost`."
             )
         needed = learned.problem(robot).n_parameters
         if learned.psi.size != needed:

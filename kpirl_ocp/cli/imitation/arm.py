@@ -71,7 +71,7 @@ class Scale:
         if self.given is not None:
             return self.given
         if self.pixels is None:
-            raise DemonstrationError("the tracks do not tell how large the object is: say the scale (--scale).")
+            raise DemonstrationError("the tracks do not say how large the object is: give the scale (--scale).")
         return focal / depth * (BOTTLE_LENGTH if self.length is None else self.length) / self.pixels
 
     @property
@@ -175,7 +175,7 @@ def _start_for(iiwa: Robot, camera: Camera, way: Array) -> Array:
 
 
 def _elsewhere(name: str, flange: str, robot: Robot) -> tuple[Camera, Array]:
-    """A camera beside the bottle of another arm, and a bent posture."""
+    """A camera next to the bottle of another arm, and a bent posture."""
     start = bent_posture(robot, _BEND)
     with _scene(name, flange, robot, Camera()) as scene:
         scene.reset(start)

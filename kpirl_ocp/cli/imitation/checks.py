@@ -91,7 +91,7 @@ def check_cost_arm(path: Path, learned: LearnedCost, keypoints: Sequence[Keypoin
 
 def _together(args: Namespace) -> None:
     if args.source_rate and args.film.is_file() and not args.tracks:
-        raise OptionError(f"--source-rate: {args.film} has times of its own; it is for pictures and --tracks")
+        raise OptionError(f"--source-rate: {args.film} has its own times; the option is for pictures and --tracks")
     if args.end is not None and args.end <= args.start:
         raise OptionError(f"--end: must be after --start, {args.start:g} s, got {args.end:g} s")
     if args.dynamics and not args.detector:
@@ -107,15 +107,15 @@ def _together(args: Namespace) -> None:
 
 
 def _sized(args: Namespace) -> None:
-    """Raise OptionError for tracks of something whose length in pixels they do not tell, without a scale."""
+    """Raise OptionError where tracks do not give the length of the object in pixels, and no scale is given."""
     sources = {"--tracks": args.tracks, "--hand": args.hand, "--detector": args.detector}
     given = next((name for name, value in sources.items() if value), None)
     if given and args.object_size:
-        raise OptionError(f"--object-size: {given} does not tell how many pixels long the object is; give --scale")
+        raise OptionError(f"--object-size: {given} does not say how many pixels long the object is; give --scale")
     if given and args.scale is None:
         raise OptionError(
-            f"{given}: needs --scale, the pixels of the arm's camera per pixel of the film, as it does not tell how "
-            "large the object is"
+            f"{given}: needs --scale, the pixels of the arm's camera per pixel of the film, because it does not say "
+            "how large the object is"
         )
 
 

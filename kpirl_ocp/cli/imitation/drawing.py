@@ -1,4 +1,4 @@
-"""Figures of an imitation: the paths, the learned weights, and a film of the person beside the robot."""
+"""Figures of an imitation: the paths, the learned weights, and a film of the person and the robot, side by side."""
 
 from __future__ import annotations
 

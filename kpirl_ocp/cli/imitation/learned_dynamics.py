@@ -101,7 +101,8 @@ def imitate(args: Namespace, tracks: Tracks) -> int:
     files = [_as_file(plan, dynamics) for plan in plans]
     paths = [plan.keypoints.reshape(len(plan.keypoints), -1) for plan in files]
     done = [] if args.recording else [_execute(detector, plan.joints, _rate(dynamics)) for plan in files]
-    planned, executed = (list(map(_distance, ways, demonstrations)) for ways in (paths, done))
+    shown = [demonstration.observations for demonstration in demonstrations]
+    planned, executed = (list(map(path_distance, ways, shown)) for ways in (paths, done))
     write_episode(args.out / "plan.npz", files[0])
     print(f"plan:    {args.out / 'plan.npz'}")
     print(f"figure:  {_draw(args.out / 'paths.png', demonstrations, done or paths)}")
@@ -174,10 +175,6 @@ def _limits(args: Namespace, dynamics: NetworkDynamics) -> ArmLimits | None:
         raise OptionError(f"--robot: {name} has {robot.n_joints} joints, the dynamics have {dynamics.n_joints}")
     lower, upper = (tuple(row.tolist()) for row in robot.joint_limits)
     return ArmLimits(name, lower, upper)
-
-
-def _distance(path: Array, demonstration: Demonstration) -> float:
-    return path_distance(path, demonstration.observations)
 
 
 def _rate(dynamics: NetworkDynamics) -> float:

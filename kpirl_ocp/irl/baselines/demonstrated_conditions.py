@@ -40,7 +40,7 @@ class DemonstratedConditions:
         Raises ProblemError for bounds and constraints, and if the cost is not linear in psi.
         """
         if problem.has_action_bounds or problem.has_state_constraints:
-            raise ProblemError("this method knows no constraints but the dynamics: pass problem.unconstrained().")
+            raise ProblemError("this method handles no constraints but the dynamics: pass problem.unconstrained().")
         functions = _derivatives(problem)
         u = problem.as_actions(actions).ravel()
         points = np.vstack([np.zeros(problem.n_parameters), np.eye(problem.n_parameters)])

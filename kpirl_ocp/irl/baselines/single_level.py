@@ -64,7 +64,7 @@ def single_level(
         ProblemError: bounds or inequalities, as complementarity is no equation that Ipopt could solve.
     """
     if n_inequalities(problem) or np.isfinite(limits(problem)).any():
-        raise ProblemError("single-level IOC knows no inequalities: pass problem.unconstrained().")
+        raise ProblemError("single-level IOC handles no inequalities: pass problem.unconstrained().")
     if not demonstrations:
         raise ProblemError("learning needs at least one demonstration.")
     program, start, free = transcribe(problem), np.asarray(psi0, float), np.flatnonzero(~given(problem))

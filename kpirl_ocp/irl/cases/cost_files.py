@@ -140,7 +140,7 @@ class LearnedCost:
             content = an_object("it", read_json(path))
             if content.get("kind") == VISUAL:
                 raise ValueError(
-                    "it is one over detected keypoints, with which to plan, or export, by "
+                    "it is a cost over detected keypoints: plan with it, or export it, by "
                     f"`kpirl learn-video FILM --detector CARD --dynamics CARD --cost {path} [--export]`."
                 )
             effort = numbers("effort", content["effort"])

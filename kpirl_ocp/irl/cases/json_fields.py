@@ -32,7 +32,7 @@ def a_list(name: str, value: Any) -> list[Any]:
 
 
 def a_value(name: str, value: Any, annotation: str) -> Any:
-    """A value of the type that an annotation stands for. Raises ValueError for another."""
+    """A value of the type that an annotation names. Raises ValueError for another type."""
     expected, types = _TYPES[annotation]
     if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
         raise ValueError(f"{name} must be {expected}, got {shown(value)}")
@@ -50,7 +50,7 @@ def fields_of(kind: type, name: str, content: Any) -> dict[str, Any]:
             raise ValueError(f"{name} has no {key!r}")
     for key, value in given.items():
         if key not in known:
-            raise ValueError(f"{name} has a field {key!r} too many; {', '.join(known) or 'nothing'} may stand there")
+            raise ValueError(f"{name} has an unknown field {key!r}; it may have: {', '.join(known) or 'none'}")
         if str(known[key].type) in _TYPES:
             a_value(f"{name}.{key}", value, str(known[key].type))
     return given

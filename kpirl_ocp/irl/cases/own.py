@@ -60,13 +60,13 @@ def load_own(place: str) -> OwnProblem:
 
 @contextlib.contextmanager
 def _neighbours(path: Path) -> Iterator[None]:
-    """A block in which a file may import those beside it."""
+    """A block in which a file may import its neighbours."""
     folder = str(path.parent.resolve())
     sys.path.insert(0, folder)
     try:
         yield
     finally:
-        with contextlib.suppress(ValueError):  # the file has taken it out
+        with contextlib.suppress(ValueError):  # the file has removed it
             sys.path.remove(folder)
 
 
@@ -128,7 +128,7 @@ def _checked(place: str, returned: object) -> OwnProblem:
     for key in numbers:
         if key not in _KEYS:
             hint = suggestion(str(key), _KEYS) or f"; there are {', '.join(_KEYS)}."
-            raise ProblemError(f"{place}: no number is called {key!r}{hint}")
+            raise ProblemError(f"{place}: there is no number {key!r}{hint}")
     shapes = {"s0": (problem.n_states,), "psi": (problem.n_parameters,), "context": (problem.n_context,)}
     arrays = {name: _array(place, numbers, name, shape) for name, shape in shapes.items()}
     observed = (problem.horizon + 1, problem.n_observations)

@@ -86,7 +86,7 @@ def _unrolled(problem: OCP, demonstration: Demonstration, psi: ArrayLike, method
     planned, unrolled = _Planned(problem, demonstration, plan), replace(method, loss=squared_distance)
     certificate = unrolled(problem, planned.combined(), psi).certificate
     rows = [
-        gradient_alone(unrolled, problem, planned.beside(row), psi) for row in np.eye(planned.observations[1:].size)
+        gradient_alone(unrolled, problem, planned.shifted(row), psi) for row in np.eye(planned.observations[1:].size)
     ]
     jacobian = np.reshape(rows, (-1, problem.n_parameters))
     return PlanJacobian(plan.trajectory, observed(problem, plan.states), jacobian, certificate.certified)
@@ -101,7 +101,7 @@ def _none(problem: OCP, plan: Solution, policy: str) -> PlanJacobian:
 
 
 class _Planned:
-    """Demonstrations beside a plan, so that losses have gradients that are parts of dz/dpsi.
+    """Demonstrations next to a plan, such that the gradients of their losses are rows of dz/dpsi.
 
     observations: (T+1, n_z) of the plan, which are finite.
     """
@@ -110,15 +110,15 @@ class _Planned:
         self._start = demonstration
         self.observations = problem.observe(plan.states.T).full().T
 
-    def beside(self, direction: Array) -> Demonstration:
-        """Of which the loss has the gradient (dz/dpsi)^T direction (T n_z,)."""
+    def shifted(self, direction: Array) -> Demonstration:
+        """The plan minus half of direction (T n_z,): its loss |z - z_demo|^2 has the gradient (dz/dpsi)^T direction."""
         observations = self.observations.copy()
         observations[1:] -= 0.5 * direction.reshape(observations[1:].shape)
         return Demonstration(self._start.s0, self._start.context, observations)
 
     def combined(self) -> Demonstration:
-        """In a random direction: its loss has a kink wherever a row has one; one that vanishes might hide it."""
-        return self.beside(np.random.default_rng(0).normal(size=self.observations[1:].size))
+        """Shifted in a random direction, so that its loss has a kink wherever a row of dz/dpsi has one."""
+        return self.shifted(np.random.default_rng(0).normal(size=self.observations[1:].size))
 
 
 def observed(problem: OCP, states: Array) -> Array:

@@ -41,10 +41,10 @@ from kpirl_ocp.types import Array, Demonstration, Solution, Trajectory
 _SOLVER = Riccati(tolerance=1e-9)
 _OPTIMISER = LBFGS(first_step=1.0, tolerance=1e-4)
 _PATIENT = LBFGS()
-_PROGRESS = 0.05  # relative fall of the loss with which it is worth beginning again
-_ENOUGH = 0.015  # share of the way, root mean square, by which the tracks themselves may be off
+_PROGRESS = 0.05  # relative decrease of the loss for which a restart is worthwhile
+_ENOUGH = 0.015  # share of the path, root mean square, by which the tracks themselves may be off
 _TURN = 0.05  # share of the way by which a coordinate goes back where it turns, and within which it rests
-_FIRST_WEIGHTS = 0.01  # beside efforts of 1 plans begin slowly; heavier ones leap, and leap elsewhere with each psi
+_FIRST_WEIGHTS = 0.01  # with efforts of 1, plans begin slowly; with larger weights they leap, each psi elsewhere
 _LEAST_EFFORT = 0.03  # of the initial effort weights
 
 
@@ -193,8 +193,8 @@ def _learn(
 def plan_from(learned: LearnedCost, robot: Robot, theta: Array) -> Solution:
     """Plan with a learned cost from a start theta (n_joints,) [rad], towards the learned displacement from there.
 
-    Two solves, one cold and one from the plan at the start it was learned with, may end at different minima: the plan
-    is that of less cost.
+    Two solves, a cold one and one that starts at the moved plan for the learned start, may end at different minima; the
+    cheaper one is returned.
 
     Raises SolveError if no plan is found.
     """
@@ -206,8 +206,8 @@ def plan_from(learned: LearnedCost, robot: Robot, theta: Array) -> Solution:
     if not first.status.ok:
         return plan.raise_if_failed()
     moved = Trajectory(first.states + (s0 - learned_s0), first.actions)
-    beside = solver.solve(problem, s0, learned.psi, context, moved)
-    return cheapest([plan, beside]).raise_if_failed()
+    warm = solver.solve(problem, s0, learned.psi, context, moved)
+    return cheapest([plan, warm]).raise_if_failed()
 
 
 def cheapest(plans: Sequence[Solution]) -> Solution:

@@ -49,7 +49,7 @@ class KeypointDetector:
 
     @classmethod
     def load(cls, path: str | Path) -> KeypointDetector:
-        """The detector of a card `path` (.json) and the weights beside it. Raises ModelError for damaged files."""
+        """The detector of a card `path` (.json) and the weights next to it. Raises ModelError for damaged files."""
         card, tensors = read_model(Path(path), DETECTOR)
         with report_mismatch(path):
             build = card.entries["architecture"]

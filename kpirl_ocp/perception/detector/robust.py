@@ -1,7 +1,7 @@
-"""Keypoints that surroundings do not move, by domain randomisation (Tobin et al., 2017), without labels of places.
+"""Keypoints that are robust to surroundings, by domain randomisation (Tobin et al., 2017), without labels.
 
-A teacher, trained before the white wall, says where the keypoints of a rendered frame are. A student with the same
-weights sees the frame before another wall, in other colours and light, and is to find them at the same places:
+A teacher, trained in front of a white wall, says where the keypoints of a rendered frame are. A student that starts
+with the same weights sees the frame in front of another wall, in other colours and light, and has to find them there:
 
     mean of  KL(g || p) + 2 |z - z_teacher|_1 + BCE(mu, in view),    mu = 1 / (1 + exp(-s / 2))
 
@@ -87,7 +87,7 @@ def train_robust(
     """Train a student of the teacher on rendered frames; gives it with its loss terms over the steps, each (steps,).
 
     Args:
-        frames: before the white wall, square, with their parts.
+        frames: square, in front of the white wall, with `parts`.
         checkpoint, device: as in `train_detector`.
 
     Raises:

@@ -156,7 +156,7 @@ def _begin_with(model: KeypointAutoencoder, start: KeypointAutoencoder) -> None:
     try:
         model.load_state_dict(start.state_dict())
     except RuntimeError as error:
-        raise TrainingError("the detector to begin with has another architecture: choose its preset.") from error
+        raise TrainingError("the detector to start from has another architecture: choose its preset.") from error
 
 
 def _step(

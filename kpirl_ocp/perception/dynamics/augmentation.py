@@ -36,8 +36,8 @@ def backwards(track: ArmTrack) -> ArmTrack:
     fastest = np.abs(track.velocities).max()
     if fastest > _AT_REST:
         raise TrainingError(
-            f"motions can be turned round only where the arm rests at every look; it moves at {fastest:.2g} rad/s. "
-            "Train without --augment, or record at a lower rate."
+            "motions can be reversed only if the arm rests whenever the camera looks; it moves at "
+            f"{fastest:.2g} rad/s. Train without --augment, or record at a lower rate."
         )
     return replace(
         track,

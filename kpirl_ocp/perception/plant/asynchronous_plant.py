@@ -1,4 +1,4 @@
-"""A detector beside the controller, each at a rate of its own, as on the authors' robot (paper, appendix A.3).
+"""A detector in parallel with the controller, each at its own rate, as on the authors' robot (paper, appendix A.3).
 
 The camera takes an image every 1/30 s, whatever the controller does, and its keypoints are there some time later. A
 look reads the latest ones, which are older than the joints that are measured with them:

@@ -57,7 +57,7 @@ HAND_SHAPES = (
 
 
 def iiwa_with_meshes() -> Path:
-    """The URDF of the iiwa in `pybullet_data`, beside its meshes. Raises DependencyError without that package."""
+    """The URDF of the iiwa in `pybullet_data`, next to its meshes. Raises DependencyError without that package."""
     spec = importlib.util.find_spec("pybullet_data")
     if spec is None or spec.origin is None:
         raise DependencyError('the iiwa\'s meshes are in the package pybullet: pip install "kpirl-ocp[perception]".')

@@ -41,10 +41,6 @@ def _early(rng, scaled: bool) -> Case:
     return dress("unconverged", law, rng, scaled, failing.early_stop(rng))
 
 
-def _quadratic(rng, scaled: bool) -> Case:
-    return quadratic.constrained(rng, scaled)
-
-
 def _steep(rng, scaled: bool) -> Case:
     of_the_plan = rng.random() < 0.8
     laws, looks = (steep_laws.LAWS, (None,)) if of_the_plan else ((steep_laws.plain,), steep_laws.LOOKS)
@@ -53,7 +49,7 @@ def _steep(rng, scaled: bool) -> Case:
 
 FAMILIES = {
     "smooth": _of_laws("smooth", smooth.LAWS, (None, loss_kinks.bent, loss_kinks.reached)),
-    "linear-quadratic with active constraints": _quadratic,
+    "linear-quadratic with active constraints": quadratic.constrained,
     "constraints that begin to count": _of_laws("constraints that begin to count", activity.LAWS),
     "dependent and redundant constraints": _of_laws("dependent and redundant constraints", dependence.LAWS),
     "kinks and jumps in psi": _of_laws("kinks and jumps in psi", bends.LAWS),

@@ -14,7 +14,7 @@ def _parts(program: Program):
     problem = program.case.problem
     n, m = program.n_states, program.n_actions
     if problem.path_constraint or problem.path_equality or problem.n_terminal or problem.terminal_equality:
-        raise CannotState("constraints beside bounds of the actions")
+        raise CannotState("constraints other than bounds on actions")
     if any(np.isfinite(bound[1:]).any() for bound in problem.state_bounds):
         raise CannotState("bounds of states")
     tau, p = ca.SX.sym("tau", n + m), program.p

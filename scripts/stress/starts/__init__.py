@@ -1,1 +1,1 @@
-"""Iterations from noisy starts, beside Ipopt's."""
+"""Iterations from noisy starts, compared with Ipopt's."""

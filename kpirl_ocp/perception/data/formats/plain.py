@@ -78,7 +78,7 @@ def read_npz(path: str | Path, *, time: str | None = None, rate: float | None = 
 
 def _take(path: str | Path, arrays: Mapping[str, Array], times: Array | None, rate: float | None, count: int) -> Take:
     if (times is None) == (rate is None):
-        raise EpisodeError(f"{path}: say either where the times are (time=...) or the rate (rate=... [Hz]).")
+        raise EpisodeError(f"{path}: give either the name of the times (time=...) or the rate (rate=... [Hz]).")
     if rate is not None:
         times = np.arange(count) / checked_rate(rate)
     try:

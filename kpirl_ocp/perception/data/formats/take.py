@@ -52,7 +52,7 @@ def checked_rate(rate: object) -> float:
 
 @dataclass(frozen=True)
 class VideoPart:
-    """`count` frames of a video from the time `start` [s] on, recorded at `rate` [Hz]; decoded when asked for."""
+    """`count` frames of a video from the time `start` [s] on, recorded at `rate` [Hz]; decoded on demand."""
 
     path: Path
     start: float
