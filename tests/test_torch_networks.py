@@ -334,6 +334,49 @@ def test_columns_are_points():
     np.testing.assert_allclose(together.T, alone, rtol=0, atol=1e-15)
 
 
+def two_inputs():
+    x, h = ca.MX.sym("x", 3), ca.MX.sym("h", 4)
+    return GraphNetwork(ca.Function("f", [x, h], [ca.vertcat(x, 2 * h)]))
+
+
+def one_input():
+    return MLP([np.eye(2, 3)], [np.zeros(2)], ["identity"])
+
+
+WRONG_INPUTS = {  # a network, inputs, what is said
+    "lengths that add up": (
+        two_inputs,
+        (2, 5),
+        r"the network takes inputs of lengths \(3, 4\), got lengths \(2, 5\)\.",
+    ),
+    "parts of an input": (two_inputs, (1, 2, 4), r"inputs of lengths \(3, 4\), got lengths \(1, 2, 4\)\."),
+    "one input of two": (two_inputs, (3,), r"inputs of lengths \(3, 4\), got lengths \(3,\)\."),
+    "another length": (one_input, (2,), r"the network takes an input of length 3, got lengths \(2,\)\."),
+    "none": (one_input, (), r"an input of length 3, got lengths \(\)\."),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_INPUTS)
+def test_a_network_refuses_inputs_of_other_lengths(case):
+    network, lengths, said = WRONG_INPUTS[case]
+    with pytest.raises(ProblemError, match=said):
+        network()(*(ca.MX.sym("x", length) for length in lengths))
+
+
+@pytest.mark.parametrize("network", [one_input, two_inputs])
+def test_a_network_refuses_what_is_no_column_of_casadi(network):
+    with pytest.raises(
+        ProblemError, match=r"a network takes columns of CasADi, got ndarray; casadi\.DM\(x\) makes one\."
+    ):
+        network()(np.zeros(3))
+
+
+def test_parts_of_an_input_stand_below_one_another():
+    s, u = ca.MX.sym("s", 2), ca.MX.sym("u")
+    for network in (one_input(), GraphNetwork(ca.Function("f", [x := ca.MX.sym("x", 3)], [x[:2]]))):
+        np.testing.assert_array_equal(ca.Function("f", [s, u], [network(s, u)])([1, 2], 3), [[1], [2]])
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_plans_through_a_residual_network_have_certified_gradients(tmp_path):
     module = build("x + net(x, u)")

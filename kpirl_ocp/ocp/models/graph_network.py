@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.models.mlp import stacked
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +48,9 @@ class GraphNetwork:
     def __call__(self, *inputs: ca.MX) -> ca.MX:
         """y (n_out, B) of the inputs, each (n_i, B), or of all of them below one another, (n_in, B).
 
-        Raises ProblemError when their lengths do not add up to n_in.
+        Raises ProblemError for what are no CasADi columns, and for other lengths.
         """
-        x = ca.vertcat(*inputs)
-        if x.size1() != self.n_in:
-            raise ProblemError(f"the network takes inputs of lengths {self.sizes}, got {x.size1()} rows.")
+        x = stacked(inputs, self.sizes)
         parts = ca.vertsplit(x, [0, *map(int, np.cumsum(self.sizes))])
         function = self.function if x.size2() == 1 else self.function.map(x.size2())
         return function(*parts)

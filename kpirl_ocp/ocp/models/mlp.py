@@ -25,6 +25,23 @@ _TINY = np.finfo(float).tiny
 _GENTLE = 1e-3
 
 
+def stacked(inputs: Sequence[ca.MX], sizes: Sequence[int]) -> ca.MX:
+    """x = (x_1, ..., x_k) (n, B) of a network whose k inputs have these lengths.
+
+    inputs: x_1, ..., x_k; or x itself; or, if k is 1, any parts of it.
+
+    Raises ProblemError for what are no CasADi columns, and for other lengths.
+    """
+    for x in inputs:
+        if not isinstance(x, ca.MX | ca.SX | ca.DM):
+            raise ProblemError(f"a network takes columns of CasADi, got {type(x).__name__}; casadi.DM(x) makes one.")
+    lengths = tuple(x.size1() for x in inputs)
+    if sum(lengths) != sum(sizes) or (len(lengths) > 1 and len(sizes) > 1 and lengths != tuple(sizes)):
+        expected = f"an input of length {sizes[0]}" if len(sizes) == 1 else f"inputs of lengths {tuple(sizes)}"
+        raise ProblemError(f"the network takes {expected}, got lengths {lengths}.")
+    return ca.vertcat(*inputs)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class MLP:
     """Weights and activations, as plain data.
@@ -98,9 +115,12 @@ class MLP:
         biases[-1] = gain * biases[-1] + shift
         return replace(self, weights=tuple(weights), biases=tuple(biases))
 
-    def __call__(self, x: ca.MX) -> ca.MX:
-        """y (n_out, B) of x (n_in, B), one column per point."""
-        return self.linearise(x)[0]
+    def __call__(self, *inputs: ca.MX) -> ca.MX:
+        """y (n_out, B) of x (n_in, B), one column per point; several inputs are the parts of x, below one another.
+
+        Raises ProblemError for what are no CasADi columns, and when their lengths do not add up to n_in.
+        """
+        return self.linearise(stacked(inputs, (self.n_in,)))[0]
 
     def linearise(self, x: ca.MX, drive: ca.MX | None = None) -> tuple[ca.MX, list[Slopes]]:
         """y (n_out, B) of x (n_in, B), and the slopes on the way.
