@@ -1,8 +1,8 @@
 # make demo: install; watch a person, learn, plan and do it.    make test: install, lint, type-check, test.
 # make paper: all experiments of the paper, with a report.      make study: its simulation study alone.
 # make docs: the pages as a web site in out/site.
-# make stress: try to break it, for hours: certificates beside peers, statuses, noisy starts, kills, long lives of one process.
-# make benchmark: timings beside peers, a quarter of an hour; with --page (see the script) for the pages that show them.
+# make stress: try to break it, for hours: certificates and peers, statuses, noisy starts, kills, long lives of one process.
+# make benchmark: timings of ours and of peers, a quarter of an hour; --page (see the script) writes the pages that show them.
 # make hands: the networks that find hands in films, from the package registry; for kpirl learn-video.
 # make models: camera data, keypoint detector and dynamics at the paper's scale (SEED=0, MODELS=out/models).
 # With PYTHON=python3.13, .venv is made with another Python than the first of these that runs.
