@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.conditions.audit import audit
-from kpirl_ocp.ocp.conditions.program import not_started, selected, starting_point, trajectory_of, transcribe
+from kpirl_ocp.ocp.conditions.program import selected, trajectory_of, transcribe
 from kpirl_ocp.ocp.problem.layout import by_stage, lengths, pack, split, unpack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
@@ -26,6 +25,7 @@ from kpirl_ocp.ocp.problem.statement.checks import check_settings
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.ocp.solvers.child_process import ChildProcess
 from kpirl_ocp.ocp.solvers.infeasible import shown_infeasible
+from kpirl_ocp.ocp.solvers.instance import Instance
 from kpirl_ocp.types import Array, Mask, Multipliers, Solution, Status, Trajectory
 
 _STATUS = {
@@ -68,74 +68,45 @@ class Fatrop:
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:
         """Solve; see `Solver.solve`."""
-        start, psi, context = problem.inputs(s0, psi, context)
-        w = starting_point(problem, start, psi, context, guess)
+        instance = Instance.of(problem, s0, psi, context, guess)
+        numbers = instance.s0, instance.psi, instance.context, instance.w
         if self.time_limit is None:
-            return self._solve_here(problem, start, psi, context, w)
-        found = _CHILD.call(self.time_limit, self._solve_here, problem, start, psi, context, w)
+            return self._solve_here(problem, *numbers)
+        found = _CHILD.call(self.time_limit, self._solve_here, problem, *numbers)
         if found is None:
-            return not_started(problem, w, psi, context, f"Fatrop: no answer after {self.time_limit} s", Status.FAILED)
+            return instance.not_started(f"Fatrop: no answer after {self.time_limit} s", Status.FAILED)
         return cast("Solution", found)
 
     @one_at_a_time
-    def _solve_here(self, problem: OCP, start: Array, psi: Array, context: Array, w: Array) -> Solution:
-        if not _finite(problem, w, psi, context):
-            return not_started(problem, w, psi, context, "a function or its gradient is not finite at the start")
+    def _solve_here(self, problem: OCP, *numbers: Array) -> Solution:
+        instance = Instance(problem, *numbers)
+        if not _finite(instance):
+            return instance.not_started("a function or its gradient is not finite at the start")
         program = _build(problem, self)
-        bounds = zip(problem.limits, map(np.asarray, problem.action_bounds), strict=True)
-        lower, upper = (by_stage(*pair) for pair in bounds)
-        begun = unpack(problem, w)
         try:
-            result = program.solver(
-                x0=by_stage(begun.states, begun.actions),
-                p=np.concatenate([start, psi, context]),
-                lbx=lower,
-                ubx=upper,
-                lbg=np.where(program.inequality, -np.inf, 0.0),
-                ubg=0.0,
-            )
+            result = program.solver(**program.arguments(instance))
         except RuntimeError as error:
-            return not_started(problem, w, psi, context, f"Fatrop: {str(error).splitlines()[-1]}", Status.FAILED)
-        return self._solution(problem, start, psi, context, w, result, program)
-
-    def _solution(
-        self,
-        problem: OCP,
-        s0: Array,
-        psi: Array,
-        context: Array,
-        begun: Array,
-        result: dict[str, ca.DM],
-        program: _Program,
-    ) -> Solution:
-        trajectory = trajectory_of(problem, pack(_by_kind(problem, result["x"].full().ravel())), s0)
-        multipliers = program.multipliers(problem, *(result[name].full().ravel() for name in ("lam_x", "lam_g")))
-        residuals = audit(problem, psi, context, trajectory, multipliers)
+            return instance.not_started(f"Fatrop: {str(error).splitlines()[-1]}", Status.FAILED)
         stats = program.solver.stats()
-        word, iterations = (
-            str(stats.get("unified_return_status", "SOLVER_RET_UNKNOWN")),
-            int(stats.get("iter_count", 0)),
-        )
-        status = self._status(word, iterations, residuals.worst)
-        if status in _GAVE_UP and shown_infeasible(problem, begun, s0, psi, context):
-            status = Status.INFEASIBLE
-        return Solution(
-            trajectory=trajectory,
-            multipliers=multipliers,
+        word = str(stats.get("unified_return_status", "SOLVER_RET_UNKNOWN"))
+        iterations = int(stats.get("iter_count", 0))
+
+        def judge(residual: float) -> Status:
+            status = self._short_of_tolerance(word, iterations, residual)
+            return Status.INFEASIBLE if status in _GAVE_UP and shown_infeasible(instance) else status
+
+        return instance.solution(
+            program.point(instance, result),
+            self.tolerance,
+            judge,
             objective=float(result["f"]),
-            residuals=residuals,
-            status=status,
             iterations=iterations,
-            psi=psi,
-            context=context,
             message=f"Fatrop: {word}",
         )
 
-    def _status(self, word: str, iterations: int, residual: float) -> Status:
+    def _short_of_tolerance(self, word: str, iterations: int, residual: float) -> Status:
         if not np.isfinite(residual):
             return Status.NOT_FINITE
-        if residual <= self.tolerance:  # it may look for more than it asks for, in vain
-            return Status.CONVERGED
         if iterations >= self.max_iterations and word != "SOLVER_RET_SUCCESS":
             return Status.ITERATION_LIMIT
         return _STATUS.get(word, Status.FAILED)
@@ -153,21 +124,38 @@ class _Program:
         """Which constraints are inequalities."""
         return np.isin(self.kinds, ("path", "terminal"))
 
-    def multipliers(self, problem: OCP, on_bounds: Array, on_rows: Array) -> Multipliers:
-        """By name, of those on x and on the constraints."""
+    def arguments(self, instance: Instance) -> dict[str, Array]:
+        """Those of the solver; p is (s_0, psi, c)."""
+        problem, begun = instance.problem, unpack(instance.problem, instance.w)
+        bounds = zip(problem.limits, map(np.asarray, problem.action_bounds), strict=True)
+        lower, upper = (by_stage(*pair) for pair in bounds)
+        return {
+            "x0": by_stage(begun.states, begun.actions),
+            "p": np.concatenate([instance.s0, instance.psi, instance.context]),
+            "lbx": lower,
+            "ubx": upper,
+            "lbg": np.where(self.inequality, -np.inf, 0.0),
+            "ubg": np.zeros(1),
+        }
+
+    def point(self, instance: Instance, result: dict[str, ca.DM]) -> tuple[Trajectory, Multipliers]:
+        """Trajectory and multipliers that the solver found."""
+        x, on_bounds, on_rows = (result[name].full().ravel() for name in ("x", "lam_x", "lam_g"))
+        w, nu = (pack(_by_kind(instance.problem, values)) for values in (x, on_bounds))
 
         def of(*names: str) -> Array:
             return np.concatenate([on_rows[self.kinds == name] for name in names])
 
         lam = np.concatenate([-of("dynamics"), of("path_equality", "terminal_equality")])  # the rows are s_next - f
-        return unpack_multipliers(problem, pack(_by_kind(problem, on_bounds)), lam, of("path", "terminal"))
+        multipliers = unpack_multipliers(instance.problem, nu, lam, of("path", "terminal"))
+        return trajectory_of(instance.problem, w, instance.s0), multipliers
 
 
-def _finite(problem: OCP, w: Array, psi: Array, context: Array) -> bool:
+def _finite(instance: Instance) -> bool:
     """True if all functions and their gradients are finite at the start; Fatrop does not end where they are not."""
-    program = transcribe(problem)
-    ones = [np.ones(n) for n in lengths(problem)[1:]]
-    values = [*program.values(w, psi, context), *program.first(w, psi, context, *ones)]
+    program, at = transcribe(instance.problem), (instance.w, instance.psi, instance.context)
+    ones = [np.ones(n) for n in lengths(instance.problem)[1:]]
+    values = [*program.values(*at), *program.first(*at, *ones)]
     return all(np.isfinite(value.full()).all() for value in values)
 
 

@@ -6,25 +6,18 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import casadi as ca
-import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.interrupts import call_solver
-from kpirl_ocp.ocp.conditions.audit import audit
-from kpirl_ocp.ocp.conditions.program import (
-    limits_from,
-    not_started,
-    starting_point,
-    trajectory_of,
-    transcribe,
-)
-from kpirl_ocp.ocp.problem.layout import bound_multipliers, unpack_multipliers
+from kpirl_ocp.ocp.conditions.program import transcribe
+from kpirl_ocp.ocp.problem.layout import pack
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.problem.statement.checks import check_settings
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
-from kpirl_ocp.types import Array, Solution, Status
+from kpirl_ocp.ocp.solvers.instance import Instance, nonlinear_program
+from kpirl_ocp.types import Solution, Status
 
 _STATUS = {
     "Solve_Succeeded": Status.CONVERGED,
@@ -66,63 +59,33 @@ class Ipopt:
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:
         """Solve; see `Solver.solve`. A `Solution` as guess also hands over its multipliers."""
-        start, psi, context = problem.inputs(s0, psi, context)
-        w = starting_point(problem, start, psi, context, guess)
-        if not np.isfinite(np.concatenate([w, psi, context])).all():
-            return not_started(problem, w, psi, context, "the start, psi or the context holds NaN or infinity")
-        solver, program = _build(problem, self, warm=isinstance(guess, Solution)), transcribe(problem)
-        lower, upper = limits_from(problem, start)
-        arguments = {
-            "x0": w,
-            "p": np.concatenate([psi, context]),
-            "lbx": lower,
-            "ubx": upper,
-            "lbg": program.lower,
-            "ubg": 0.0,
-        }
-        if isinstance(guess, Solution):
-            arguments["lam_x0"] = bound_multipliers(guess.multipliers)
-            arguments["lam_g0"] = program.multipliers(guess.multipliers)
-        result = call_solver(solver, **arguments)
-        return self._solution(problem, start, psi, context, result, solver.stats())
-
-    def _solution(
-        self, problem: OCP, s0: Array, psi: Array, context: Array, result: dict[str, ca.DM], stats: dict[str, object]
-    ) -> Solution:
-        w, nu, lam = (result[name].full().ravel() for name in ("x", "lam_x", "lam_g"))
-        trajectory = trajectory_of(problem, w, s0)
-        multipliers = unpack_multipliers(problem, nu, *np.split(lam, [transcribe(problem).n_equalities]))
-        residuals, word = (
-            audit(problem, psi, context, trajectory, multipliers, self.barrier),
-            str(stats["return_status"]),
-        )
-        (objective, *_) = transcribe(problem).values(w, psi, context)
-        return Solution(
-            trajectory=trajectory,
-            multipliers=multipliers,
+        instance = Instance.of(problem, s0, psi, context, guess)
+        if not instance.finite:
+            return instance.not_started()
+        solver = _build(problem, self, warm=isinstance(guess, Solution))
+        point = instance.point(call_solver(solver, **instance.arguments(guess)))
+        stats = solver.stats()
+        word = str(stats["return_status"])
+        (objective, *_) = transcribe(problem).values(pack(point[0]), instance.psi, instance.context)
+        return instance.solution(
+            point,
+            self.tolerance,
+            lambda _: _short_of_tolerance(word),
             objective=float(objective),  # Ipopt says 0 where it is not finite
-            residuals=residuals,
-            status=self._status(word, residuals.worst),
-            iterations=min(max(int(str(stats["iter_count"])), 0), self.max_iterations),  # unset when it never started
-            psi=psi,
-            context=context,
-            barrier=self.barrier,
+            iterations=int(stats["iter_count"]) if "iterations" in stats else 0,  # else the count is unset
             message=f"Ipopt: {word}",
+            barrier=self.barrier,
         )
 
-    def _status(self, word: str, residual: float) -> Status:
-        """Converged is what meets the tolerance, whether Ipopt is content, and wanted more, or not."""
-        if residual <= self.tolerance:
-            return Status.CONVERGED
-        status = _STATUS.get(word, Status.FAILED)
-        return Status.STALLED if status is Status.CONVERGED else status
+
+def _short_of_tolerance(word: str) -> Status:
+    """The status where the residuals miss the tolerance, whether Ipopt is content or not."""
+    status = _STATUS.get(word, Status.FAILED)
+    return Status.STALLED if status is Status.CONVERGED else status
 
 
 @lru_cache(maxsize=64)
 def _build(problem: OCP, solver: Ipopt, warm: bool) -> ca.Function:
-    program = transcribe(problem)
-    w, *numbers = program.symbols
-    nlp = {"x": w, "p": ca.vertcat(*numbers), "f": program.values(*program.symbols)[0], "g": program.rows}
     options = {
         "tol": solver.tolerance,
         "max_iter": solver.max_iterations,
@@ -148,4 +111,9 @@ def _build(problem: OCP, solver: Ipopt, warm: bool) -> ca.Function:
             "warm_start_bound_frac": 1e-8,
             "warm_start_slack_bound_frac": 1e-8,
         }
-    return ca.nlpsol("ipopt", "ipopt", nlp, {"ipopt": options, "print_time": False, "show_eval_warnings": False})
+    return ca.nlpsol(
+        "ipopt",
+        "ipopt",
+        nonlinear_program(problem),
+        {"ipopt": options, "print_time": False, "show_eval_warnings": False},
+    )
