@@ -327,12 +327,12 @@ def test_constrained_systems_are_solved_as_by_one_dense_kkt_matrix(name, seed):
 @pytest.mark.parametrize("shape", [(12, 3, 2, ()), (12, 4, 3, (0, 1, 3))])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_first_substitution_holds_decisions_at_their_bounds(shape, seed):
-    """They are taken out by a pivot as large as 1 / rounding; other active rows take a second one."""
+    """They begin there, and are taken out by a pivot as large as 1 / rounding; other active rows take a second one."""
     n_x = shape[1] + shape[2]
     problem = Constrained(shape, Rows(bounds=(*shape[3][:2], shape[1], 2 * n_x + shape[1] + 1)), seed=seed)
     rng = np.random.default_rng(seed + 2)
     steps, n_s, _, n_w = problem.lq.sizes
-    right = [rng.normal(size=n_w), np.zeros(steps * n_s), np.zeros(problem.m), np.zeros(n_s)]
+    right = [rng.normal(size=size) for size in (n_w, steps * n_s, problem.m, n_s)]
     *found, residual = problem.solve(*right, corrections=1)
     assert problem.active.all()
     assert residual < 1e-13

@@ -38,11 +38,20 @@ real kpirl_mpc_kkt_adjoint(kpirl_mpc_kkt *k, const real *slope) {
   return kpirl_mpc_kkt_solve(k, &right, &k->adjoint);
 }
 
-/* The derivative (n_s) of the weighted conditions by the given entries of s_0. */
-static void by_start(const kpirl_mpc_system *s, const kpirl_mpc_triple *weights, real *balance, real *by) {
+/* The derivative (n_s) of the weighted conditions by the given entries of s_0: H_0 x_0 + F_0' lambda_0 + C_0' mu, where mu holds the
+ * forces of smoothed rows. of_stage: n_x numbers. */
+static void by_start(const kpirl_mpc_system *s, const kpirl_mpc_triple *weights, real *of_stage, real *by) {
+  const int n_s = s->n_states, n_x = n_s + s->n_actions;
+  const real *path = weights->forces + s->n_bounds, *equality = path + s->horizon * s->n_path + s->n_terminal;
   int i;
-  kpirl_mpc_system_balance(s, weights, balance);
-  memcpy(by, balance, (size_t)s->n_states * sizeof(real));
+  memset(of_stage, 0, (size_t)n_x * sizeof(real));
+  kpirl_mpc_times_vector(s->H, n_x, n_x, weights->x, of_stage);
+  kpirl_mpc_transposed_times_vector(s->F, n_s, n_x, weights->costates, of_stage);
+  kpirl_mpc_times_vector(s->G, n_x, s->n_path, path, of_stage);
+  kpirl_mpc_times_vector(s->E, n_x, s->n_equality, equality, of_stage);
+  memcpy(by, of_stage, (size_t)n_s * sizeof(real));
+  for (i = 0; i < s->n_bounds; ++i)
+    if (s->entries[i] < n_s) by[s->entries[i]] += s->signs[i] * weights->forces[i];
   for (i = 0; i < s->n_free; ++i) by[s->free[i]] = 0;
 }
 
@@ -51,9 +60,9 @@ void kpirl_mpc_kkt_pull(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *functi
   const kpirl_mpc_system *s = &k->system;
   real *values = k->work;
   int i;
-  by_start(s, adjoint, k->work, by->s0);
   kpirl_mpc_rows_times(s, adjoint->x, values);
   for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) adjoint->forces[i] += s->sigma[i] * values[i];
+  by_start(s, adjoint, k->work, by->s0);
   if (k->dimensions.n_parameters + k->dimensions.n_context == 0) return;
   if (!kpirl_mpc_weigh(k, function, adjoint, k->numbers.psi, k->numbers.context, by->psi, by->context)) return;
   for (i = 0; i < k->dimensions.n_parameters; ++i) by->psi[i] = (real)NAN;

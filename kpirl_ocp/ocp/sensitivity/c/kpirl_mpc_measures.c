@@ -31,12 +31,28 @@ static void add_diagonal(const real *restrict Ft, int n_s, int n_x, const real *
     int count = n_s - a;
     while (count > 0 && H[count - 1] == 0) --count; /* in most problems most are */
     for (b = 0; b < count; ++b) weights[b] = (b == 0 ? 1 : 2) * kpirl_mpc_abs(H[b]);
-    for (i = 0; count == 1 && i < n_x; ++i) values[i] += weights[0] * Ft[i] * Ft[i];
-    if (count <= 1) continue;
+    if (count == 0) continue;
     memset(sums, 0, (size_t)n_x * sizeof(real));
     kpirl_mpc_times_vector(Ft, n_x, count, weights, sums);
     for (i = 0; i < n_x; ++i) values[i] += Ft[i] * sums[i];
   }
+}
+
+static int is_diagonal(const real *H, int n_s, int n) {
+  int a, b;
+  for (a = 0; a < n_s; ++a)
+    for (b = a + 1; b < n_s; ++b)
+      if (H[b + a * n] != 0) return 0;
+  return 1;
+}
+
+/* The same for a diagonal H, from F itself. */
+static void add_squares(const real *restrict F, int n_s, int n_x, const real *H, int n, real *restrict weights,
+                        real *restrict values) {
+  int a, i;
+  for (a = 0; a < n_s; ++a) weights[a] = kpirl_mpc_abs(H[a + a * n]);
+  for (i = 0; i < n_x; ++i, F += n_s)
+    for (a = 0; a < n_s; ++a) values[i] += weights[a] * F[a] * F[a];
 }
 
 void kpirl_mpc_system_curvature(const kpirl_mpc_system *s, real *curvature) {
@@ -44,12 +60,16 @@ void kpirl_mpc_system_curvature(const kpirl_mpc_system *s, real *curvature) {
   real *Ft = s->scratch, *work = Ft + n_s * n_x;
   int t, i;
   for (t = 0; t <= T; ++t) {
-    const int n = t < T ? n_x : n_s;
-    const real *H = s->H + (size_t)t * n_x * n_x;
+    const int n = t < T ? n_x : n_s, after = t + 1 < T ? n_x : n_s;
+    const real *H = s->H + (size_t)t * n_x * n_x, *next = H + n_x * n_x, *F = s->F + (size_t)t * n_s * n_x;
     for (i = 0; i < n; ++i) curvature[t * n_x + i] = kpirl_mpc_abs(H[i + i * n]);
     if (t == T) break;
-    absolute_transpose(s->F + (size_t)t * n_s * n_x, n_s, n_x, Ft);
-    add_diagonal(Ft, n_s, n_x, H + n_x * n_x, t + 1 < T ? n_x : n_s, work, curvature + t * n_x);
+    if (is_diagonal(next, n_s, after)) {
+      add_squares(F, n_s, n_x, next, after, work, curvature + t * n_x);
+      continue;
+    }
+    absolute_transpose(F, n_s, n_x, Ft);
+    add_diagonal(Ft, n_s, n_x, next, after, work, curvature + t * n_x);
   }
 }
 

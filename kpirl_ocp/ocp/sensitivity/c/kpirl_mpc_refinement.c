@@ -135,6 +135,19 @@ static real error_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, c
   return kpirl_mpc_largest(parts, 3);
 }
 
+/* The point that is zero but for decisions at a bound, whose stiffness times their value would round all other terms; returns whether
+ * there is one that is not zero. */
+static int stand_at_bounds(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, kpirl_mpc_triple *at) {
+  int i, any = 0;
+  memset(at->x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
+  for (i = 0; i < s->n_bounds; ++i)
+    if (s->active[i] != 0 && right->forces[i] != 0 && kpirl_mpc_decision_of(s, i) >= 0) {
+      at->x[s->entries[i]] = s->signs[i] * right->forces[i];
+      any = 1;
+    }
+  return any;
+}
+
 /* ---- solutions ---------------------------------------------------------------------------------------------- */
 
 real kpirl_mpc_system_solve(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, real enough, int most,
@@ -145,9 +158,12 @@ real kpirl_mpc_system_solve(const kpirl_mpc_system *s, const kpirl_mpc_triple *r
   int k;
   work = kpirl_mpc_place_triple(s, work, &at);
   work = kpirl_mpc_place_triple(s, work, &residual);
-  memset(at.x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
-  kpirl_mpc_copy_triple(s, right, &residual); /* of a point that is zero */
-  only_equations(s, right->start, at.x, &residual);
+  if (stand_at_bounds(s, right, &at)) {
+    residual_of(s, right, &at, &residual);
+  } else {
+    kpirl_mpc_copy_triple(s, right, &residual); /* of a point that is zero */
+    only_equations(s, right->start, at.x, &residual);
+  }
   correct(s, &residual, &at, work);
   for (k = 1; k <= most; ++k) {
     real error;
