@@ -120,3 +120,7 @@ def test_impossible_requests_are_refused(tmp_path, film):
         write_video(tmp_path / "float.avi", film / 255.0, 30)
     with pytest.raises(FileError, match="does the directory exist"):
         write_video(tmp_path / "nowhere" / "film.avi", film, 30)
+    for name in ("film.txt", "film"):
+        with pytest.raises(FileError, match=rf"{name} has no ending of a film: write it as \.mp4 or \.avi\."):
+            write_video(tmp_path / name, film, 30, codec="h264")
+        assert not (tmp_path / name).exists()

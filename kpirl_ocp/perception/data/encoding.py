@@ -41,11 +41,18 @@ def write_video(
     return path
 
 
+def _opened(part: Path, path: Path) -> Any:
+    try:
+        return av.open(str(part), "w")
+    except ValueError as error:  # of PyAV, which knows containers by their endings
+        raise FileError(f"{path} has no ending of a film: write it as .mp4 or .avi.") from error
+
+
 def _encode(part: Path, path: Path, frames: Iterable[Frames], rate: float, codec: Codec, quality: int | None) -> None:
     encoder, pixels = _ENCODERS[codec]
     options = {} if quality is None else {"crf": str(quality)}
     shape: tuple[int, ...] = ()
-    with av.open(str(part), "w") as container:
+    with _opened(part, path) as container:
         stream: Any = container.add_stream(encoder, rate=Fraction(rate).limit_denominator(1001), options=options)
         stream.pix_fmt = pixels
         for image in map(np.asarray, frames):
