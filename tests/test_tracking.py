@@ -19,8 +19,8 @@ from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, re
 from kpirl_ocp.perception.tracking.appearance import Memory, Views
 from kpirl_ocp.perception.tracking.identity.lookalikes import Lookalikes
 from kpirl_ocp.perception.tracking.pictures import at_times, overlays, track_film, track_sheet
-from kpirl_ocp.perception.tracking.similarity import fit, transform
-from kpirl_ocp.perception.tracking.tracker import track
+from kpirl_ocp.perception.tracking.similarity import apart, fit, transform
+from kpirl_ocp.perception.tracking.tracker import Located, track
 from kpirl_ocp.perception.tracking.tracks import Tracks, of_object, read_tracks, spread, write_tracks
 
 CORNERS = np.array([[10.0, 10], [40, 10], [40, 40], [10, 40]])  # points on the picture of 50 x 50 pixels
@@ -68,6 +68,26 @@ def test_an_object_that_vanishes_behind_another_is_unsure_and_found_again():
     assert tracks.confidence[23:33].max() == 0
     assert tracks.confidence[-5:].min() > 0.5
     assert errors(tracks, truth)[-1].max() < 3
+
+
+def test_an_object_that_is_not_found_goes_straight_from_where_it_was_found_last_to_where_it_is_found_next():
+    seen = np.array([True, True, False, False, False, True, False])
+    shifts = [0, 1, 1, 90, 1, 9, 11]
+    frames = [
+        Located(
+            0.1 * i, pose(x, 0, size=0), transform(pose(x, 0, size=0), CORNERS), np.full(4, found), np.ones(4, bool)
+        )
+        for i, (x, found) in enumerate(zip(shifts, seen, strict=True))
+    ]
+    tracks = of_object(frames, CORNERS, SIZE)
+    np.testing.assert_allclose(tracks.centre[:, 0] - 25, [0, 1, 3, 5, 7, 9, 11], atol=1e-12)
+    np.testing.assert_allclose(tracks.centre[:, 1], 25, atol=1e-12)
+    np.testing.assert_array_equal(tracks.confidence.mean(axis=1) > 0, seen)
+
+
+def test_poses_are_as_far_apart_as_the_point_that_they_move_farthest_apart():
+    turned = pose(0, 0, np.pi / 2, size=0)
+    assert apart(turned, np.eye(3), np.array([[1.0, 0], [3, 4]])) == pytest.approx(5 * np.sqrt(2), rel=1e-12)
 
 
 def test_a_twin_that_rests_is_not_taken_for_an_object_that_is_hidden():

@@ -83,6 +83,12 @@ def correlation(one: Array, other: Array) -> Array:
     return (one * other).sum(1) / np.maximum(np.linalg.norm(one, axis=1) * np.linalg.norm(other, axis=1), 1e-9)
 
 
+def detail(patches: Array) -> float:
+    """Mean difference of neighbouring samples in patches (n, m)."""
+    grids = patches.reshape(-1, _ACROSS, _ACROSS)
+    return float(np.abs(np.diff(grids, axis=1)).mean() + np.abs(np.diff(grids, axis=2)).mean())
+
+
 def correlations(scene: NDArray[np.uint8], picture: NDArray[np.uint8], shape: NDArray[np.uint8]) -> Array:
     """Normalised correlation of a picture, where its shape is, with every window of a scene."""
     scores = np.asarray(cv2.matchTemplate(scene, picture, cv2.TM_CCOEFF_NORMED, mask=shape), float)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kpirl_ocp.errors import DemonstrationError
-from kpirl_ocp.perception.tracking.appearance import Views, correlation
+from kpirl_ocp.perception.tracking.appearance import Views, correlation, detail
 from kpirl_ocp.perception.tracking.similarity import transform
 from kpirl_ocp.types import Array, Mask
 
@@ -21,6 +21,7 @@ _POINTS = 200
 _LIKE = 0.6  # correlation from which a point looks as it should
 _RENEWAL = 0.1  # weight of the newest look in the memory
 SPACING = 4  # between corners [pixels]
+_BLURRED = 0.6  # share of the detail that a blurred object shows
 _EDGE = 3.0  # points nearer to the image's edge are out of view [pixels]
 _FEWEST = 8
 
@@ -58,6 +59,11 @@ class ObjectModel:
         seen = views.patches(transform(pose, self.points[chosen]), pose)
         pairs = zip(self.looks, seen, strict=True)
         return np.any([correlation(look[chosen], now) > _LIKE for look, now in pairs], axis=0)
+
+    def blurred(self, views: Views, pose: Array, found: Mask) -> bool:
+        """Whether the points found (n,) show much less detail than remembered."""
+        now = views.patches(transform(pose, self.points[found]), pose)[0]
+        return detail(now) < _BLURRED * detail(self.looks[0][found])
 
     def remember(self, views: Views, pose: Array, found: Mask) -> None:
         """Renew the looks of the points found (n,)."""

@@ -25,6 +25,11 @@ def shifted(pose: Array, offset: Array) -> Array:
     return moved
 
 
+def apart(one: Array, other: Array, points: Array) -> float:
+    """Largest distance between where two poses (3, 3) move points (n, 2)."""
+    return float(np.linalg.norm(transform(one, points) - transform(other, points), axis=1).max())
+
+
 def fit(points: Array, targets: Array, tolerance: float) -> tuple[Array, Mask] | None:
     """The similarity that most pairs agree on within `tolerance` (RANSAC, refined), and which pairs (n,) do.
 

@@ -84,9 +84,12 @@ class Tracks(Brief):
 
 
 def of_object(located: Iterable[Located], keypoints: ArrayLike, size: tuple[int, int]) -> Tracks:
-    """Tracks of keypoints (K, 2) [pixels] that are fixed to an object, given in the first frame."""
+    """Tracks of keypoints (K, 2) [pixels] that are fixed to an object, given in the first frame.
+
+    While it is not found they go straight from where it was last found to where it is found next, at a confidence of 0.
+    """
     points = np.asarray(keypoints, float)
-    times, positions, confidence = [], [], []
+    times, positions, confidence, found = [], [], [], []
     reach = max(1.0, float(np.linalg.norm(points - points.mean(axis=0), axis=1).max()), 0.05 * max(size))
     for frame in located:
         places = transform(frame.pose, points)
@@ -94,8 +97,19 @@ def of_object(located: Iterable[Located], keypoints: ArrayLike, size: tuple[int,
         near = np.exp(-0.5 * (gaps / reach) ** 2) * frame.in_view
         times.append(frame.time)
         positions.append(places)
+        found.append(frame.found.any())
         confidence.append((near * frame.found).sum(axis=1) / np.maximum(near.sum(axis=1), 1e-9))
-    return Tracks(np.array(times), np.array(positions), np.array(confidence), size)
+    bridged = _bridged(np.array(times), np.array(positions), np.array(found))
+    return Tracks(np.array(times), bridged, np.array(confidence), size)
+
+
+def _bridged(times: Array, positions: Array, found: Mask) -> Array:
+    """Positions (n, K, 2), on straight lines where nothing was found (n,); as they are after it was found last."""
+    last = 1 + max(np.flatnonzero(found), default=-1)
+    known = found | (np.arange(len(times)) >= last)
+    columns = positions.reshape(len(times), -1).T
+    straight = np.stack([np.interp(times, times[known], column[known]) for column in columns], axis=1)
+    return np.asarray(straight.reshape(positions.shape), float)
 
 
 def check_size(tracks: Tracks, size: tuple[int, int]) -> None:
