@@ -202,6 +202,25 @@ def test_rounding_of_constraints_keeps_no_warm_start_that_only_needs_multipliers
     assert found.iterations <= 5
 
 
+@pytest.mark.parametrize("fixed", [False, True])
+def test_one_step_leaves_nothing_but_rounding_of_a_linear_quadratic_problem_with_equalities(fixed):
+    """Multipliers have no rounding of the proximal term, be they of an equality or of bounds that coincide."""
+    s, u, rest = ca.SX.sym("s", 2), ca.SX.sym("u"), np.array([1.0, 0.0])
+    ends = np.vstack([np.full((100, 2), np.inf), rest])
+    bounds = {"state_bounds": (np.where(np.isinf(ends), -np.inf, ends), ends)}
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=100,
+        dynamics=ca.vertcat(s[0] + 0.01 * s[1] + 5e-5 * u, s[1] + 0.01 * u),
+        stage_cost=0.005 * u**2 + 1e-3 * s[1] ** 2,
+        **bounds if fixed else {"terminal_equality": s - rest},
+    )
+    found = Riccati(tolerance=1e-12).solve(problem, [0, 0])
+    assert (found.status, found.iterations) == (Status.CONVERGED, 1)
+    assert found.residuals.worst < 1e-13
+
+
 def test_running_cost_as_a_state_costs_no_more_iterations_than_as_stage_costs():
     """Mayer's form has no Hessian but that of the dynamics, weighed with costates that a start does not know."""
     s, u = ca.SX.sym("s", 3), ca.SX.sym("u")

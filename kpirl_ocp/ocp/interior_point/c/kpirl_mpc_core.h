@@ -235,7 +235,7 @@ void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation);
 /* The step for these factors and core->target, what y z is to become; then its lengths, with the fraction to the boundary. */
 void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change);
 real kpirl_mpc_longest(const real *value, const real *change, int count, real share);
-void kpirl_mpc_limit_lengths(kpirl_mpc_core *core, real regularisation);
+void kpirl_mpc_limit_lengths(kpirl_mpc_core *core);
 
 /* corrector: `least` is the tau to stop at */
 void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least);

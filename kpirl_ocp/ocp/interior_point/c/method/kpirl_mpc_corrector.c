@@ -97,9 +97,10 @@ void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least) {
   core->step.tau = least;
   core->step.positive = core->factored || kpirl_mpc_factorise(core, 0);
   if (!core->step.positive) return;
+  core->step.regularisation = 0;
   for (i = 0; i < m; ++i) core->target[i] = least;
   if (m > 0) predict(core, least);
   kpirl_mpc_step_to_target(core, &core->step.change);
   if (m > 0) correct_centrality(core);
-  kpirl_mpc_limit_lengths(core, 0);
+  kpirl_mpc_limit_lengths(core);
 }

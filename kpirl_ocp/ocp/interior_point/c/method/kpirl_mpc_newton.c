@@ -72,55 +72,43 @@ int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
   return all_positive(factors->free_pivots, n_free);
 }
 
-/* The change of x and costates where forces of inequalities are core->force and equalities have multipliers nu. */
-static void solve_stages(kpirl_mpc_core *core, const real *nu, kpirl_mpc_iterate *change) {
-  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_c = kpirl_mpc_n_equalities(core);
+/* right: a gradient, of forces of inequalities and of multipliers of equalities. */
+static void gather(kpirl_mpc_core *core, const real *forces, const real *fixing) {
+  const kpirl_mpc_derivatives *d = &core->d;
+  memcpy(core->right, d->slope, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
+  kpirl_mpc_push_bounds(core, forces, fixing, core->right);
+  kpirl_mpc_path_push(core, d->G, DIM(core, n_path), DIM(core, n_terminal), forces + kpirl_mpc_n_bounds(core), core->right);
+  kpirl_mpc_path_push(core, d->E, DIM(core, n_equality), DIM(core, n_terminal_equality), fixing + core->n_fixed, core->right);
+}
+
+/* The change of x and costates where forces of inequalities are core->force. */
+static void solve_stages(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
+  const int n_c = kpirl_mpc_n_equalities(core);
   const kpirl_mpc_derivatives *d = &core->d;
   real *fixing = change->nu;
   int i;
-  for (i = 0; i < n_c; ++i) fixing[i] = nu[i] + (core->penalty > 0 ? 0 : d->c[i] * core->stiffness[i]);
-  memcpy(core->right, d->slope, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
-  kpirl_mpc_push_bounds(core, core->force, fixing, core->right);
-  kpirl_mpc_path_push(core, d->G, DIM(core, n_path), DIM(core, n_terminal), core->force + kpirl_mpc_n_bounds(core), core->right);
-  kpirl_mpc_path_push(core, d->E, DIM(core, n_equality), DIM(core, n_terminal_equality), fixing + core->n_fixed, core->right);
-  kpirl_mpc_substitute(T, n_s, n_u, core->bounds.n_free, core->bounds.free_entries, d->F, &core->factors, core->right,
-                       d->defects, d->gap, core->scratch, change->x, change->costates);
+  for (i = 0; i < n_c; ++i) fixing[i] = core->at.nu[i] + (core->penalty > 0 ? 0 : d->c[i] * core->stiffness[i]);
+  gather(core, core->force, fixing);
+  kpirl_mpc_substitute(DIM(core, horizon), DIM(core, n_states), DIM(core, n_actions), core->bounds.n_free,
+                       core->bounds.free_entries, d->F, &core->factors, core->right, d->defects, d->gap, core->scratch,
+                       change->x, change->costates);
 }
 
-/* (c + E dx) / delta: by how much the multipliers of equalities change. */
-static void push_equalities(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
+/* values (n_c) = (values + E x) / delta */
+static void push_equalities(const kpirl_mpc_core *core, const real *x, real *values) {
   const int n_c = kpirl_mpc_n_equalities(core), n_fixed = core->n_fixed;
-  const kpirl_mpc_derivatives *d = &core->d;
   int i;
-  memcpy(change->nu, d->c, (size_t)n_c * sizeof(real));
-  for (i = 0; i < n_fixed; ++i) change->nu[i] += change->x[core->fixed[i]];
-  kpirl_mpc_path_times(core, d->E, DIM(core, n_equality), DIM(core, n_terminal_equality), change->x, change->nu + n_fixed);
-  for (i = 0; i < n_c; ++i) change->nu[i] *= core->stiffness[i];
+  for (i = 0; i < n_fixed; ++i) values[i] += x[core->fixed[i]];
+  kpirl_mpc_path_times(core, core->d.E, DIM(core, n_equality), DIM(core, n_terminal_equality), x, values + n_fixed);
+  for (i = 0; i < n_c; ++i) values[i] *= core->stiffness[i];
 }
 
-/* A change of nu leaves delta times it of equalities: where that is too much, once more from there, with the same factors. */
-static void solve_with_equalities(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
-  const int n_c = kpirl_mpc_n_equalities(core);
-  const real enough = (real)core->options.tolerance / 10;
-  real *nu = core->trial.nu;
-  int i;
-  solve_stages(core, core->at.nu, change);
-  push_equalities(core, change);
-  if (core->penalty > 0 || !(KPIRL_MPC_PROXIMAL * kpirl_mpc_largest(change->nu, n_c) > enough)) return;
-  for (i = 0; i < n_c; ++i) nu[i] = core->at.nu[i] + change->nu[i];
-  solve_stages(core, nu, change);
-  push_equalities(core, change);
-  for (i = 0; i < n_c; ++i) change->nu[i] += nu[i] - core->at.nu[i];
-}
-
-/* The step for these factors and core->target, what y z is to become. */
-void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
+/* The changes of y and z that belong to that of x. */
+static void follow_inequalities(const kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
   const int m = kpirl_mpc_n_inequalities(core), bounds = kpirl_mpc_n_bounds(core);
   const kpirl_mpc_derivatives *d = &core->d;
   const kpirl_mpc_iterate *at = &core->at;
   int i;
-  for (i = 0; i < m; ++i) core->force[i] = core->target[i] / at->y[i] + core->weights[i] * (d->g[i] + at->y[i]);
-  solve_with_equalities(core, change);
   for (i = 0; i < core->n_lower; ++i) change->z[i] = -change->x[core->lower[i]];
   for (i = 0; i < core->n_upper; ++i) change->z[core->n_lower + i] = change->x[core->upper[i]];
   memset(change->z + bounds, 0, (size_t)(m - bounds) * sizeof(real));
@@ -130,6 +118,59 @@ void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
     change->y[i] = -(d->g[i] + at->y[i]) - dg;
     change->z[i] = core->force[i] + core->weights[i] * dg - at->z[i];
   }
+}
+
+/* right += (H + rho) dx + the dynamics' part of the change of costates */
+static void add_curvature(kpirl_mpc_core *core, const kpirl_mpc_iterate *change) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
+  const kpirl_mpc_derivatives *d = &core->d;
+  real *right = core->right;
+  int t;
+  kpirl_mpc_axpy(core->step.regularisation, change->x, kpirl_mpc_n_point(core), right);
+  for (t = 0; t < T; ++t) {
+    const real *costates = change->costates + t * n_s;
+    kpirl_mpc_symmetric_times_vector(d->H + t * n_x * n_x, n_x, change->x + t * n_x, right + t * n_x);
+    kpirl_mpc_transposed_times_vector(d->F + t * n_s * n_x, n_s, n_x, costates, right + t * n_x);
+    kpirl_mpc_axpy(-1, costates, n_s, right + (t + 1) * n_x);
+  }
+  kpirl_mpc_symmetric_times_vector(d->H + T * n_x * n_x, n_s, change->x + T * n_x, right + T * n_x);
+}
+
+/* A change of nu leaves delta times it of equalities, and rounding of 1 / delta in the multipliers. One step of iterative refinement
+ * takes both away: what is left of the gradient, and of equalities from the new nu, with the same factors. */
+static void refine(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
+  const int n_c = kpirl_mpc_n_equalities(core);
+  real *forces = core->trial.z, *fixing = core->trial.nu;
+  int i;
+  for (i = 0; i < m; ++i) forces[i] = core->at.z[i] + change->z[i];
+  for (i = 0; i < n_c; ++i) fixing[i] = core->at.nu[i] + 2 * change->nu[i];
+  gather(core, forces, fixing);
+  add_curvature(core, change);
+  memset(core->start, 0, (size_t)n_s * sizeof(real));
+  kpirl_mpc_substitute(T, n_s, DIM(core, n_actions), core->bounds.n_free, core->bounds.free_entries, core->d.F, &core->factors,
+                       core->right, NULL, core->start, core->scratch, core->trial.x, core->trial.costates);
+  kpirl_mpc_axpy(1, core->trial.x, kpirl_mpc_n_point(core), change->x);
+  kpirl_mpc_axpy(1, core->trial.costates, T * n_s, change->costates);
+  memset(fixing, 0, (size_t)n_c * sizeof(real));
+  push_equalities(core, core->trial.x, fixing);
+  for (i = 0; i < n_c; ++i) change->nu[i] = 2 * change->nu[i] + fixing[i];
+}
+
+/* The step for these factors and core->target, what y z is to become. */
+void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+  const real enough = (real)core->options.tolerance / 10;
+  const kpirl_mpc_iterate *at = &core->at;
+  int i;
+  for (i = 0; i < m; ++i) core->force[i] = core->target[i] / at->y[i] + core->weights[i] * (core->d.g[i] + at->y[i]);
+  solve_stages(core, change);
+  memcpy(change->nu, core->d.c, (size_t)n_c * sizeof(real));
+  push_equalities(core, change->x, change->nu);
+  follow_inequalities(core, change);
+  if (core->penalty > 0 || !(KPIRL_MPC_PROXIMAL * kpirl_mpc_largest(change->nu, n_c) > enough)) return;
+  refine(core, change);
+  follow_inequalities(core, change);
 }
 
 /* The longest step in (0, 1] that keeps value + length * change at least (1 - share) value; value > 0. */
@@ -152,13 +193,12 @@ static real fraction_to_boundary(const kpirl_mpc_core *core) {
   return core->options.steps > 0 ? KPIRL_MPC_BOUNDARY : kpirl_mpc_larger(KPIRL_MPC_BOUNDARY, 1 - left);
 }
 
-void kpirl_mpc_limit_lengths(kpirl_mpc_core *core, real regularisation) {
+void kpirl_mpc_limit_lengths(kpirl_mpc_core *core) {
   kpirl_mpc_step *step = &core->step;
   const int m = kpirl_mpc_n_inequalities(core);
   step->share = fraction_to_boundary(core);
   step->primal_length = kpirl_mpc_longest(core->at.y, step->change.y, m, step->share);
   step->dual_length = kpirl_mpc_longest(core->at.z, step->change.z, m, step->share);
-  step->regularisation = regularisation;
   step->positive = step->positive && kpirl_mpc_all_finite(step->change.x, kpirl_mpc_n_point(core));
 }
 
@@ -168,8 +208,9 @@ void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation) {
   core->step.tau = core->tau;
   core->step.positive = kpirl_mpc_factorise(core, regularisation);
   if (!core->step.positive) return;
+  core->step.regularisation = regularisation;
   for (i = 0; i < m; ++i) core->target[i] = kpirl_mpc_is_elastic(core, i) ? -core->at.z[i] * core->d.g[i] : core->tau;
   kpirl_mpc_step_to_target(core, &core->step.change);
   if (core->penalty > 0) kpirl_mpc_let_go(core);
-  kpirl_mpc_limit_lengths(core, regularisation);
+  kpirl_mpc_limit_lengths(core);
 }

@@ -117,7 +117,7 @@ static void begin_with(kpirl_mpc_core *core, real tau) {
   core->most_violation = core->most_gradient = 0;
   core->held = 0;
   core->escaped_tau = (real)INFINITY;
-  core->regularisation = 0;
+  core->regularisation = core->step.regularisation = 0;
   core->step.positive = 0; /* there was no step yet */
   for (i = 0; i < 3; ++i) core->best[i] = (real)INFINITY;
   core->idle = 0;
