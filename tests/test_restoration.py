@@ -134,3 +134,36 @@ def test_infeasible_is_not_said_before_steps_along_the_dynamics_say_so_too():
     residuals = audit(case.problem, case.psi, np.zeros(0), found, found.multipliers)
     assert max(residuals.stationarity, residuals.feasibility, residuals.complementarity) <= 1e-8
     assert found.objective <= peer.raise_if_failed().objective + 1e-6
+
+
+S, U = ca.SX.sym("s", 2), ca.SX.sym("u")
+CONTRADICTIONS = {  # the smallest possible value of the largest violation, which rows may share
+    "two rows of a stage": ({"path_equality": ca.vertcat(U - 0.3, U - 0.4)}, 0.05),
+    "the same in large units": ({"path_equality": 1e6 * ca.vertcat(U - 0.3, U - 0.4)}, 5e4),
+    "the same in small units": ({"path_equality": 1e-4 * ca.vertcat(U - 0.3, U - 0.4)}, 5e-6),
+    "two rows of the end": ({"terminal_equality": ca.vertcat(S[1] - 1, S[1] - 2)}, 0.5),
+    "stages and the end": ({"path_equality": U - 0.3, "terminal_equality": S[1] - 0.5}, 0.1),
+    "fixed actions and the end": ({"action_bounds": (0.3, 0.3), "terminal_equality": S[1] - 0.5}, 0.1),
+    "a state that no action moves": ({"dynamics": S + ca.vertcat(0, U), "terminal_equality": S[0]}, 1.0),
+    "too few steps": ({"terminal_equality": S, "horizon": 1}, 1.0),
+    "an equation without a real solution": ({"path_equality": U**2 + 1}, 1.0),
+}
+
+
+@pytest.mark.parametrize("name", CONTRADICTIONS)
+def test_equalities_that_contradict_each_other_are_shown_to_be_infeasible(name):
+    parts, least = CONTRADICTIONS[name]
+    plain = {"dynamics": S + ca.vertcat(S[1], U), "stage_cost": U**2, "horizon": 3}
+    found = Riccati().solve(OCP.from_expressions(state=S, action=U, **plain | parts), [1.0, 0.0])
+    assert found.status is Status.INFEASIBLE
+    assert found.iterations < 200
+    assert found.residuals.feasibility >= least * (1 - 1e-3)
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e6])
+def test_equalities_that_say_the_same_twice_are_no_contradiction(unit):
+    same = unit * ca.vertcat(U - 0.3, 2 * U - 0.6)
+    dynamics = S + ca.vertcat(S[1], U)
+    problem = OCP.from_expressions(state=S, action=U, dynamics=dynamics, stage_cost=U**2, horizon=3, path_equality=same)
+    found = Riccati(1e-10).solve(problem, [1.0, 0.0]).raise_if_failed()
+    np.testing.assert_allclose(found.actions, np.full((3, 1), 0.3), rtol=0, atol=max(1e-10 / unit, 1e-13))

@@ -8,6 +8,7 @@
 
 static const real SHORTEST = (real)1e-10; /* step length below which a line search gives up */
 static const real TINY = (real)1e-12;     /* relative Newton step below which rounding decides, so that it is taken as it is */
+static const real LEFT = (real)0.5;        /* share of equalities that a step leaves where they contradict each other */
 static const real USEFUL = (real)0.01;     /* fraction of a corrected step below which plain Newton steps do better */
 static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
 static const real SMALL = (real)1e-3;      /* violation that counts as little */
@@ -48,12 +49,21 @@ void kpirl_mpc_arrive(kpirl_mpc_core *core, int level) {
   kpirl_mpc_differentiate(core, level);
 }
 
+/* Do linearised equalities contradict each other? Then the whole step, which leaves delta times the change of their multipliers,
+ * leaves most of them. */
+static int contradictory(const kpirl_mpc_core *core) {
+  const int n_c = kpirl_mpc_n_equalities(core);
+  const real violation = kpirl_mpc_largest(core->d.c, n_c);
+  return core->penalty <= 0 && violation > core->tolerance &&
+         KPIRL_MPC_PROXIMAL * kpirl_mpc_largest(core->step.change.nu, n_c) > LEFT * violation;
+}
+
 /* Move by the longest length that the filter accepts, if there is one above a fraction `least` of the whole step. */
 static int move_along(kpirl_mpc_core *core, real least) {
   const kpirl_mpc_step *step = &core->step;
   const int n_w = kpirl_mpc_n_point(core);
   const real largest = kpirl_mpc_largest(step->change.x, n_w);
-  const int tiny = step->regularisation == 0 && largest <= TINY * (1 + kpirl_mpc_largest(core->at.x, n_w));
+  const int tiny = step->regularisation == 0 && largest <= TINY * (1 + kpirl_mpc_largest(core->at.x, n_w)) && !contradictory(core);
   const real slope = kpirl_mpc_slope(core);
   const real shortest = kpirl_mpc_larger(SHORTEST, least * step->primal_length);
   real length = step->primal_length;
