@@ -44,10 +44,10 @@ def test_log_marks_restoration(capsys):
 
 def infeasible():
     """Random problems that Ipopt calls infeasible, too."""
-    for seed in (89, 151, 230, 256, 288):
+    for seed in (89, 151, 230, 256, 288, 1586):
         problem, arguments = Drawing(seed).problem()
         yield f"statement {seed}", problem, arguments
-    for seed in range(50, 100):
+    for seed in (*range(50, 100), 1127, 1425, 1497):  # in the last three multipliers grow without bound
         problem, demonstration, psi = random_case(seed)
         yield f"case {seed}", problem, (demonstration.s0, psi, demonstration.context)
 
@@ -58,7 +58,7 @@ def test_infeasible_is_said_of_what_ipopt_finds_infeasible_and_of_nothing_else()
         ours, peer = (solver.solve(problem, *arguments).status for solver in (Riccati(), Ipopt()))
         assert (ours is Status.INFEASIBLE) == (peer is Status.INFEASIBLE), name
         said += ours is Status.INFEASIBLE
-    assert said == 12
+    assert said == 16
 
 
 def test_terminal_set_out_of_reach_is_infeasible_in_any_unit():

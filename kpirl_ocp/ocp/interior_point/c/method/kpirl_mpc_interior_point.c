@@ -10,7 +10,7 @@
 
 static const real WARM = (real)1e-3;      /* largest tau of a warm start */
 static const real SHORTEST = (real)1e-10;  /* step off a point that is no minimum */
-static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
+static const real FAR = (real)1e12;       /* |x|, or multipliers relative to the gradient of J, beyond which an iterate has diverged */
 static const int LONG = 30;               /* iterations along the dynamics before another attempt */
 static const int RESTORATIONS = 5;        /* in one solve, twice */
 
@@ -70,6 +70,15 @@ static kpirl_mpc_status why_stuck(kpirl_mpc_core *core) {
 /* A solution is no minimum where the Hessian is not positive. Newton steps that needed no regularisation know that it is. */
 static int to_be_examined(const kpirl_mpc_core *core) { return !core->step.positive || core->step.regularisation > 0; }
 
+/* Have multipliers grown without bound, and left the point infeasible? So they do where linearised constraints contradict each
+ * other, also from a few points in turn. */
+static int multipliers_diverged(const kpirl_mpc_core *core) {
+  const real heaviest = kpirl_mpc_larger(kpirl_mpc_largest(core->at.z, kpirl_mpc_n_inequalities(core)),
+                                         kpirl_mpc_largest(core->at.nu, kpirl_mpc_n_equalities(core)));
+  return heaviest > FAR && heaviest > FAR * kpirl_mpc_largest(core->d.cost_gradient, kpirl_mpc_n_point(core)) &&
+         kpirl_mpc_largest_violation(core) > core->tolerance;
+}
+
 static kpirl_mpc_status converge(kpirl_mpc_core *core) {
   for (;; ++core->iterations) {
     if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
@@ -83,6 +92,7 @@ static kpirl_mpc_status converge(kpirl_mpc_core *core) {
     if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
     if (kpirl_mpc_largest(core->at.x, kpirl_mpc_n_point(core)) > FAR) return KPIRL_MPC_DIVERGED;
     if (kpirl_mpc_idle(core) && kpirl_mpc_acceptable(core)) return KPIRL_MPC_ACCEPTABLE;
+    if (multipliers_diverged(core)) return why_stuck(core);
     if (!kpirl_mpc_iterate_once(core, kpirl_mpc_final_tau(core))) return why_stuck(core);
     kpirl_mpc_log_iteration(core);
   }
