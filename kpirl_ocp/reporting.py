@@ -69,7 +69,7 @@ def deaf_children() -> Iterator[None]:
         before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
         stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, before)
         signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
-        stack.enter_context(_signals_noted())
+        stack.enter_context(signals_delayed())
         yield
 
 
@@ -94,14 +94,22 @@ def results_of(parallel: joblib.Parallel, tasks: Iterable[Any]) -> Generator[Any
     """
     with contextlib.ExitStack() as stack:
         with deaf_pool():
-            running = stack.enter_context(contextlib.closing(parallel(tasks)))
+            running = parallel(tasks)
+            stack.callback(_close, running)
         yield from running
 
 
-@contextlib.contextmanager
-def _signals_noted() -> Iterator[None]:
-    """A block after which this thread is sent the signals that reached Python in it.
+def _close(running: Generator[Any, None, None]) -> None:
+    with signals_delayed():
+        running.close()
 
+
+@contextlib.contextmanager
+def signals_delayed() -> Iterator[None]:
+    """A block after which this thread is sent the signals that reached Python in it, such as one that stops a pool.
+
+    A wait for a thread that a signal interrupts takes that thread for ended (until Python 3.13): the program then ends
+    without it, and leaves behind the processes that the thread was about to stop.
     The mask of one thread does not keep them out: the system gives them to another, and Python's handlers run in the
     main thread whichever it was.
     """

@@ -200,6 +200,22 @@ def test_a_comparison_whose_pool_starts_ends_in_one_line(name, by, monkeypatch, 
 
 
 @BOTH
+def test_a_comparison_whose_pool_ends_leaves_no_process_behind(by, monkeypatch, tmp_path, capsys):
+    """A wait for the thread that kills them, if a signal interrupts it, takes that thread for ended."""
+    shutdown, workers = comparison.ProcessPoolExecutor.shutdown, []
+
+    def noted(pool, **more):
+        workers.extend(pool._processes.values())
+        os.kill(os.getpid(), by)
+        shutdown(pool, **more)
+
+    monkeypatch.setattr(comparison.ProcessPoolExecutor, "shutdown", noted)
+    assert run(["compare", "--problem", "lqr", "--steps", "1", "--out", str(tmp_path)]) == 130
+    assert capsys.readouterr().err.endswith(f"interrupted: 1 of 5 measurements are in {tmp_path}/metrics.json.\n")
+    assert [worker.is_alive() for worker in workers] == [False]
+
+
+@BOTH
 def test_a_collection_whose_processes_start_ends_in_one_line(by, monkeypatch, tmp_path, capsys):
     pytest.importorskip("pybullet")
     signalled(monkeypatch, joblib.Parallel, "__call__", by)

@@ -301,7 +301,7 @@ def test_tables_of_every_system_are_read_with_blank_lines(system, mark, tmp_path
         ("t,u\n0,1\n1,nan\n", {"time": "t"}, "u holds NaN or infinity"),
         ("t,v\n0,1\n", {"time": "t"}, "has no column u; it has t, v"),
         ("t,u\n0,1\n0,2\n", {"time": "t"}, "times do not rise from step 1 on"),
-        ("t,u\n0,1\n1,2\n", {}, "say either"),
+        ("t,u\n0,1\n1,2\n", {}, "give either"),
         ("", {"rate": 1.0}, "it is empty"),
     ],
 )

@@ -198,7 +198,7 @@ def test_views_are_drawn_from_the_seed_and_the_step_alone():
 def test_nothing_to_learn_from_is_refused(teacher):
     with pytest.raises(TrainingError, match="there are none"):
         train_robust(teacher, [], SETTINGS)
-    with pytest.raises(TrainingError, match="their parts"):
+    with pytest.raises(TrainingError, match="needs frames with `parts`"):
         train_robust(teacher, [replace(FRAMES[0], parts=None)], SETTINGS)
     with pytest.raises(TrainingError, match="at least 1"):
         RobustSettings(steps=0)

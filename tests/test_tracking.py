@@ -323,8 +323,9 @@ def test_frames_of_a_table_are_counted_from_the_first_of_the_film(tmp_path):
     [
         ("missing.npz", None, "there are no tracks"),
         ("other.txt", "x", "come as .npz or .csv"),
-        ("empty.csv", "a,b\n", "columns point, x, y"),
-        ("words.csv", "time,point,x,y\n0,a,left,2\n", "no number"),
+        ("empty.csv", "time,point,x,y\n", "no rows"),
+        ("names.csv", "a,b\n1,2\n", "no column point, x, y, frame; it has a, b"),
+        ("words.csv", "time,point,x,y\n0,a,left,2\n", "line 2, x: expected a number, got 'left'"),
         ("noise.npz", "not a zip", "cannot be read"),
     ],
 )

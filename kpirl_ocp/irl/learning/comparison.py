@@ -25,7 +25,7 @@ from kpirl_ocp.irl.learning.optimisers import Adam
 from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
-from kpirl_ocp.reporting import deaf_pool
+from kpirl_ocp.reporting import deaf_pool, signals_delayed
 from kpirl_ocp.types import Array, Demonstration
 
 TRUNCATION = 10  # steps that Truncated goes back
@@ -116,9 +116,14 @@ def measure_all(source: str, steps: list[int], exact: Array) -> Iterator[Measure
         with ExitStack() as stack:
             with deaf_pool():
                 pool = ProcessPoolExecutor(1)
-                stack.callback(pool.shutdown, kill_workers=True)
+                stack.callback(_kill, pool)
                 measured = pool.submit(_measure, source, steps, index, exact)
             yield measured.result()
+
+
+def _kill(pool: ProcessPoolExecutor) -> None:
+    with signals_delayed():
+        pool.shutdown(kill_workers=True)
 
 
 def _measure(source: str, steps: list[int], index: int, exact: Array) -> Measurement:
