@@ -167,3 +167,16 @@ def test_equalities_that_say_the_same_twice_are_no_contradiction(unit):
     problem = OCP.from_expressions(state=S, action=U, dynamics=dynamics, stage_cost=U**2, horizon=3, path_equality=same)
     found = Riccati(1e-10).solve(problem, [1.0, 0.0]).raise_if_failed()
     np.testing.assert_allclose(found.actions, np.full((3, 1), 0.3), rtol=0, atol=max(1e-10 / unit, 1e-13))
+
+
+@pytest.mark.parametrize("unit", [1e-2, 1.0, 1e2])
+def test_opposing_inequalities_that_leave_one_point_are_no_contradiction(unit):
+    """Their multipliers grow without bound, as the set has no interior; the plan is right all the same."""
+    opposing = unit * ca.vertcat(U - 0.3, 0.3 - U)
+    dynamics = S + ca.vertcat(S[1], U)
+    problem = OCP.from_expressions(
+        state=S, action=U, dynamics=dynamics, stage_cost=U**2, horizon=3, path_constraint=opposing
+    )
+    found = Riccati().solve(problem, [1.0, 0.0])
+    assert found.status.ok
+    np.testing.assert_allclose(found.actions, np.full((3, 1), 0.3), rtol=0, atol=1e-7 / min(unit, 1))

@@ -70,13 +70,13 @@ static kpirl_mpc_status why_stuck(kpirl_mpc_core *core) {
 /* A solution is no minimum where the Hessian is not positive. Newton steps that needed no regularisation know that it is. */
 static int to_be_examined(const kpirl_mpc_core *core) { return !core->step.positive || core->step.regularisation > 0; }
 
-/* Have multipliers grown without bound, and left the point infeasible? So they do where linearised constraints contradict each
- * other, also from a few points in turn. */
+/* Have multipliers grown without bound, and left the point far from feasible? So they do where linearised constraints contradict
+ * each other, also from a few points in turn. Near feasible points of a set without interior they grow as well, and are right. */
 static int multipliers_diverged(const kpirl_mpc_core *core) {
   const real heaviest = kpirl_mpc_larger(kpirl_mpc_largest(core->at.z, kpirl_mpc_n_inequalities(core)),
                                          kpirl_mpc_largest(core->at.nu, kpirl_mpc_n_equalities(core)));
   return heaviest > FAR && heaviest > FAR * kpirl_mpc_largest(core->d.cost_gradient, kpirl_mpc_n_point(core)) &&
-         kpirl_mpc_largest_violation(core) > core->tolerance;
+         core->d.violation > core->filter.small;
 }
 
 static kpirl_mpc_status converge(kpirl_mpc_core *core) {
