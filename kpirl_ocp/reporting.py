@@ -1,6 +1,6 @@
 """The written results of commands and scripts: numbers with settings and versions, and tables; Ctrl-C keeps them.
 
-Child processes never hear Ctrl-C or SIGTERM, and this process loses neither while they start.
+Child processes never hear Ctrl-C or SIGTERM, and this process loses neither while they start or are stopped.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _PACKAGES = ("kpirl-ocp", "casadi", "pin", "numpy", "scipy", "pybullet", "torch")
 _STOPS = (signal.SIGINT, signal.SIGTERM)
+_PATIENCE = 0.5  # [s] with a thread that feeds another pool, which goes on
 
 
 def write_metrics(directory: Path, settings: Mapping[str, Any], results: Mapping[str, Any]) -> Path:
@@ -69,7 +70,7 @@ def deaf_children() -> Iterator[None]:
         before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
         stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, before)
         signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
-        stack.enter_context(signals_delayed())
+        stack.enter_context(_signals_delayed())
         yield
 
 
@@ -100,16 +101,49 @@ def results_of(parallel: joblib.Parallel, tasks: Iterable[Any]) -> Generator[Any
 
 
 def _close(running: Generator[Any, None, None]) -> None:
-    with signals_delayed():
+    with pool_ending():
         running.close()
 
 
 @contextlib.contextmanager
-def signals_delayed() -> Iterator[None]:
-    """A block after which this thread is sent the signals that reached Python in it, such as one that stops a pool.
+def pool_ending() -> Iterator[None]:
+    """A block that kills the processes of loky's pool, and is not interrupted by signals.
 
     A wait for a thread that a signal interrupts takes that thread for ended (until Python 3.13): the program then ends
-    without it, and leaves behind the processes that the thread was about to stop.
+    without it, and leaves behind the processes that the thread was about to stop. Threads that fed the processes are
+    waited for, too: Python does not, and where it ends within one that gives back a semaphore, loky reports a leak.
+    """
+    with _signals_delayed(), _dropped_tasks_unsaid():
+        yield
+        for thread in threading.enumerate():
+            if thread.name == "QueueFeederThread":
+                thread.join(_PATIENCE)
+
+
+@contextlib.contextmanager
+def _dropped_tasks_unsaid() -> Iterator[None]:
+    """A block in which loky's thread may end with the KeyError of a task that was dropped before it was handed out.
+
+    It has killed the processes by then.
+    """
+    said = threading.excepthook
+
+    def hook(ended: threading.ExceptHookArgs) -> None:
+        name = ended.thread.name if ended.thread else ""
+        if not (name == "ExecutorManagerThread" and issubclass(ended.exc_type, KeyError)):
+            said(ended)
+
+    threading.excepthook = hook
+    try:
+        yield
+    finally:
+        threading.excepthook = said
+
+
+@contextlib.contextmanager
+def _signals_delayed() -> Iterator[None]:
+    """A block after which this thread is sent the signals that reached Python in it.
+
     The mask of one thread does not keep them out: the system gives them to another, and Python's handlers run in the
     main thread whichever it was.
     """
@@ -117,7 +151,8 @@ def signals_delayed() -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         stack.callback(_raise, noted)
         for number in _STOPS if threading.current_thread() is threading.main_thread() else ():
-            if signal.getsignal(number) is not None:  # one of C, which Python could not put back
+            known = signal.getsignal(number)
+            if known not in (None, signal.SIG_IGN):  # None: a handler of C, which Python could not put back
                 stack.callback(signal.signal, number, signal.signal(number, lambda came, _: noted.add(came)))
         yield
 

@@ -18,7 +18,7 @@ from kpirl_ocp.cli.main import run
 from kpirl_ocp.cli.signals import stoppable
 from kpirl_ocp.irl.cases.examples import CASES
 from kpirl_ocp.irl.learning import comparison
-from kpirl_ocp.reporting import deaf_children
+from kpirl_ocp.reporting import deaf_children, pool_ending
 
 BOTH = pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM], ids=lambda by: by.name)
 SLEEPER = [sys.executable, "-c", "import time; print('started', flush=True); time.sleep(60)"]
@@ -197,6 +197,60 @@ def test_a_comparison_whose_pool_starts_ends_in_one_line(name, by, monkeypatch, 
     assert run(["compare", "--problem", "lqr", "--steps", "1", "--out", str(tmp_path)]) == 130
     lines = [line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if line and "%|" not in line]
     assert lines == [f"interrupted: 0 of 5 measurements are in {tmp_path}/metrics.json."]
+
+
+def test_sigterm_is_heard_although_ctrl_c_is_ignored_and_it_comes_while_handlers_change(monkeypatch):
+    """As it may in a job in the background."""
+    change, before = signal.signal, signal.signal(signal.SIGINT, signal.SIG_IGN)
+    to_come = [signal.SIGTERM]
+
+    def changed(number, handler):
+        if number in to_come:
+            to_come.remove(number)
+            os.kill(os.getpid(), number)
+        return change(number, handler)
+
+    def ended():
+        monkeypatch.setattr(signal, "signal", changed)
+        with pool_ending():
+            pass
+
+    try:
+        with stoppable(), pytest.raises(KeyboardInterrupt):
+            ended()
+    finally:
+        change(signal.SIGINT, before)
+
+
+def test_threads_that_fed_the_processes_of_a_pool_have_ended_with_it():
+    over, ended = threading.Event(), threading.Event()
+    feeder = threading.Thread(target=lambda: (over.wait(), time.sleep(0.1), ended.set()), daemon=True)
+    feeder.name = "QueueFeederThread"
+    feeder.start()
+    with pool_ending():  # that of another pool goes on
+        pass
+    assert not ended.is_set()
+    with pool_ending():
+        over.set()
+    assert ended.is_set()
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "said"),
+    [("ExecutorManagerThread", KeyError, 0), ("ExecutorManagerThread", OSError, 1), ("another", KeyError, 1)],
+)
+def test_a_task_that_was_dropped_is_no_error_of_a_pool_that_ends(name, kind, said, monkeypatch):
+    heard = []
+    monkeypatch.setattr(threading, "excepthook", heard.append)
+
+    def fail():
+        raise kind
+
+    thread = threading.Thread(target=fail, name=name)
+    with pool_ending():
+        thread.start()
+        thread.join()
+    assert len(heard) == said
 
 
 @BOTH

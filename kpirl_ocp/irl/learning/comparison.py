@@ -25,7 +25,7 @@ from kpirl_ocp.irl.learning.optimisers import Adam
 from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
-from kpirl_ocp.reporting import deaf_pool, signals_delayed
+from kpirl_ocp.reporting import deaf_pool, pool_ending
 from kpirl_ocp.types import Array, Demonstration
 
 TRUNCATION = 10  # steps that Truncated goes back
@@ -122,7 +122,7 @@ def measure_all(source: str, steps: list[int], exact: Array) -> Iterator[Measure
 
 
 def _kill(pool: ProcessPoolExecutor) -> None:
-    with signals_delayed():
+    with pool_ending():
         pool.shutdown(kill_workers=True)
 
 
