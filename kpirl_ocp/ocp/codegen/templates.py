@@ -42,7 +42,8 @@ def read(name: str) -> str:
 def core_files() -> dict[str, str]:
     """The C files of the interior-point method that an export consists of, name -> text."""
     folder = files("kpirl_ocp.ocp") / "interior_point" / "c"
-    own = (f"{PREFIX}_library.", f"{PREFIX}_dimensions.")  # the one is for Python, the other made for constants here
+    # Two are for Python, the last is made for constants here.
+    own = (f"{PREFIX}_library.", f"{PREFIX}_tapes.", f"{PREFIX}_dimensions.")
     folders = [folder, *(path for path in folder.iterdir() if path.is_dir())]
     found = [path for each in folders for path in each.iterdir() if path.is_file() and not path.name.startswith(own)]
     return {path.name: path.read_text() for path in sorted(found, key=lambda path: path.name)}

@@ -19,6 +19,7 @@ from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare, prepare_function
 from kpirl_ocp.ocp.interior_point.results import RESULT, solution_rows
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
+from kpirl_ocp.ocp.interior_point.tapes import REPAID, Tape, Tapes, read_tapes
 from kpirl_ocp.ocp.problem.layout import by_stage, check_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, StageValues, check_guess
@@ -39,6 +40,7 @@ class Core:
         self._kept: list[Any] = []  # arrays and evaluators that the C code has pointers to
         self._patterns = self._find_patterns()
         self._code: Mapping[str, int] | None = None
+        self._tapes: list[tuple[Tape, Tape]] | None = None
         self._model = self._make_model()
         dimensions, bounds = dimensions_of(self.problem), self._bounds()
         given = [ctypes.byref(x) for x in (dimensions, bounds, self._model)]
@@ -110,10 +112,11 @@ class Core:
         return layout.solutions(psi, context, found, results, options.barrier)
 
     def _use(self, wish: Compile) -> None:
-        """The machine code that there is by now, or none, as is wished."""
+        """The machine code that there is by now, or none, as is wished; and without it, tapes where they pay."""
         self._wish, code = wish, prepare(self.problem, wish, self._evaluations)
-        if code is not self._code:
-            self._code = code
+        tapes = read_tapes(self.problem) if code is None and self._evaluations > REPAID else None
+        if code is not self._code or tapes is not self._tapes:
+            self._code, self._tapes = code, tapes
             self._model = self._make_model()
             self._library.kpirl_mpc_core_set_model(self._core, ctypes.addressof(self._model))
 
@@ -182,7 +185,15 @@ class Core:
         model = c.Model(by_stage=1, quadratic=quadratic_program(self.problem), **self._patterns)
         model.stage[:] = [self._pointer(function) for function in stages.stage]
         model.last[:] = [self._pointer(function) for function in stages.last]
+        if self._tapes is not None:
+            model.by_stage, model.dynamics = 0, model.stage[0]
+            model.horizon[:] = [self._taped(*pair) for pair in self._tapes]
         return model
+
+    def _taped(self, stage: Tape, last: Tape) -> Any:
+        tapes = Tapes(stage, last, dimensions_of(self.problem), self._schedule)
+        self._kept.append(tapes)
+        return tapes.pointer
 
     def _pointer(self, function: ca.Function, names: Names = c.STAGE) -> Any:
         if self._code is None:

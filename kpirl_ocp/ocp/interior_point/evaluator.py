@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kpirl_ocp.ocp.codegen.numpy_calls import Build, native
-from kpirl_ocp.ocp.interior_point.library import Buffered, CompiledFunction, Function, library
+from kpirl_ocp.ocp.interior_point.library import Buffered, CompiledFunction, Function, symbol
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
 
@@ -45,7 +45,7 @@ class VirtualMachine:
     @property
     def pointer(self) -> Any:
         """The function for the core."""
-        return Function(_symbol("kpirl_mpc_evaluate_buffered"), ctypes.addressof(self._structure))
+        return Function(symbol("kpirl_mpc_evaluate_buffered"), ctypes.addressof(self._structure))
 
 
 class Compiled:
@@ -69,7 +69,7 @@ class Compiled:
     @property
     def pointer(self) -> Any:
         """The function for the core."""
-        return Function(_symbol("kpirl_mpc_evaluate_compiled"), ctypes.addressof(self._structure))
+        return Function(symbol("kpirl_mpc_evaluate_compiled"), ctypes.addressof(self._structure))
 
 
 class Pointer:
@@ -105,12 +105,6 @@ def _places(function: ca.Function, names: Names) -> list[NDArray[np.intc]]:
     """Where every argument and every result stands among the pointers that the function is called with."""
     sides = zip(names, (function.name_in(), function.name_out()), strict=True)
     return [np.array([known.index(name) for name in own], np.intc) for known, own in sides]
-
-
-def _symbol(name: str) -> int:
-    address = ctypes.cast(getattr(library(), name), ctypes.c_void_p).value
-    assert address is not None
-    return address
 
 
 @lru_cache(maxsize=1)

@@ -129,6 +129,10 @@ CompiledFunction = _structure(
     integers=POINTER,
     reals=POINTER,
 )
+Tape = _structure("Tape", operations=POINTER, constants=POINTER, n_operations=INT)
+Tapes = _structure(
+    "Tapes", stage=Tape, last=Tape, dimensions=Dimensions, schedule=POINTER, slots=POINTER, costs=POINTER
+)
 Factors = _structure("Factors", **dict.fromkeys(("P", "W", "Y", "pivots", "free_W", "free_pivots"), POINTER))
 System = _structure(
     "System",
@@ -214,6 +218,13 @@ def library() -> ctypes.CDLL:
     )
 
 
+def symbol(name: str) -> int:
+    """The address of a function of the library."""
+    address = ctypes.cast(getattr(library(), name), ctypes.c_void_p).value
+    assert address is not None
+    return address
+
+
 def read(address: int, size: int) -> Array:
     """A copy of numbers of the C code."""
     if not size:
@@ -233,7 +244,7 @@ def address_of(array: NDArray[Any]) -> int:
 def _layout() -> int:
     """The sizes of all structures that cross over."""
     crossing = (Dimensions, Model, Bounds, Numbers, Options, Start, View, Residuals, Iteration)
-    functions, systems = (Buffered, CompiledFunction), (System, Triple, Rows, KKT)
+    functions, systems = (Buffered, CompiledFunction, Tapes), (System, Triple, Rows, KKT)
     kinds = (*crossing, *functions, *systems, Evidence, ByParameters, Result, Questions, Answers)
     return sum((i + 1) * ctypes.sizeof(kind) for i, kind in enumerate(kinds))
 

@@ -1,8 +1,9 @@
 """Machine code of a problem's functions: when it is made, and where it comes from.
 
-CasADi's virtual machine evaluates functions without a compiler, machine code several times faster, equal to the last
-bit, since neither contracts nor reorders operations. So a solve need not know which of them it runs on, and a compiler
-may work in the background: it starts once a problem has been evaluated often enough to show that it will be used.
+CasADi's virtual machine and tapes evaluate functions without a compiler, machine code does it several times faster,
+equal to the last bit, since none of them contracts or reorders operations. So a solve need not know what it runs on,
+and a compiler may work in the background: it starts once a problem has been evaluated often enough to show that it will
+be used.
 Large networks get faster kernels that round differently, so they are compiled before the first solve, or never.
 """
 
@@ -198,7 +199,7 @@ def prepare_function(problem: OCP, build: Build, wish: Compile, evaluations: int
 
 
 def prepare(problem: OCP, wish: Compile, evaluations: int) -> dict[str, int] | None:
-    """Addresses of machine code to solve with now; None for the virtual machine.
+    """Addresses of machine code to solve with now; None to do without.
 
     evaluations: of stages so far. See the module for the decision that "auto" stands for.
     """

@@ -104,8 +104,8 @@ static void lay_out(cursor *at, kpirl_mpc_core *core) {
   core->scratch = take_reals(at, most(most(kpirl_mpc_stage_scratch(n_s, n_u), kpirl_mpc_substitute_scratch(T, n_s, n_u)),
                                       most(core->bounds.n_free * core->bounds.n_free, m + kpirl_mpc_n_equalities(core))));
   core->nonzeros = take_reals(at, most_nonzeros(&core->model));
-  core->states = take_reals(at, core->model.by_stage ? 0 : (T + 1) * n_s);
-  core->actions = take_reals(at, core->model.by_stage ? 0 : T * n_u);
+  core->states = take_reals(at, (T + 1) * n_s);
+  core->actions = take_reals(at, T * n_u);
 }
 
 /* Finite bounds of x, and entries whose bounds coincide; into the lists where they are there. Given entries of s_0 have none. */

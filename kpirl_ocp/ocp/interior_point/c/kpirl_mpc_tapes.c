@@ -1,0 +1,150 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * Functions of stages as tapes: operations on slots, carried out one after the other for several stages side by side.
+ *
+ * An interpreter mostly finds out which operation is the next. Here it does so once for KPIRL_MPC_LANES stages, whose numbers
+ * stand beside each other in a slot. Operations round as those of CasADi's virtual machine do, so that results are the same to
+ * the last bit.
+ */
+#include "kpirl_mpc_library.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { LANES = KPIRL_MPC_LANES };
+
+/* In the order of `KINDS` in tapes.py. */
+enum {
+  CONSTANT, INPUT, OUTPUT,
+  ADD, SUB, MUL, DIV, POW, CONSTPOW, FMOD, REMAINDER, ATAN2, HYPOT, COPYSIGN, FMIN, FMAX,
+  LT, LE, EQ, NE, AND, OR, IF_ELSE_ZERO,
+  NEG, INV, SQ, TWICE, SQRT, NOT, SIGN, FABS, FLOOR, CEIL,
+  EXP, EXPM1, LOG, LOG1P, ERF, SIN, COS, TAN, ASIN, ACOS, ATAN, SINH, COSH, TANH, ASINH, ACOSH, ATANH
+};
+
+/* Operands `from` of an INPUT, which is entry `other` of it, and `to` of an OUTPUT, of which it is entry `other`. */
+enum { STATES, ACTIONS, PSI, CONTEXT, SCHEDULE, COSTATES, Z, NU, INPUTS };
+enum { COST, SUCCESSOR, PATH, EQUALITY, COST_GRADIENT, GRADIENT, JACOBIAN_F, JACOBIAN_G, JACOBIAN_E, HESSIAN, OUTPUTS };
+
+/* Arrays of all stages, and how far it is from one stage to the next. */
+typedef struct arrays {
+  const real *from[INPUTS];
+  real *to[OUTPUTS];
+  int from_step[INPUTS], to_step[OUTPUTS];
+} arrays;
+
+/* y may be the place of an operand. */
+#define OF_ONE(value)             \
+  for (i = 0; i < LANES; ++i) {   \
+    const real a = p[i];          \
+    y[i] = (value);               \
+  }                               \
+  memcpy(to, y, sizeof y);        \
+  break
+
+#define OF_TWO(value)                 \
+  for (i = 0; i < LANES; ++i) {       \
+    const real a = p[i], b = q[i];    \
+    y[i] = (value);                   \
+  }                                   \
+  memcpy(to, y, sizeof y);            \
+  break
+
+static void calculate(int kind, const real *p, const real *q, real *to) {
+  real y[LANES];
+  int i;
+  switch (kind) {
+    case ADD: OF_TWO(a + b);
+    case SUB: OF_TWO(a - b);
+    case MUL: OF_TWO(a * b);
+    case DIV: OF_TWO(a / b);
+    case POW:
+    case CONSTPOW: OF_TWO(pow(a, b));
+    case FMOD: OF_TWO(fmod(a, b));
+    case REMAINDER: OF_TWO(remainder(a, b));
+    case ATAN2: OF_TWO(atan2(a, b));
+    case HYPOT: OF_TWO(hypot(a, b));
+    case COPYSIGN: OF_TWO(copysign(a, b));
+    case FMIN: OF_TWO(fmin(a, b));
+    case FMAX: OF_TWO(fmax(a, b));
+    case LT: OF_TWO(a < b);
+    case LE: OF_TWO(a <= b);
+    case EQ: OF_TWO(a == b);
+    case NE: OF_TWO(a != b);
+    case AND: OF_TWO(a != 0 && b != 0);
+    case OR: OF_TWO(a != 0 || b != 0);
+    case IF_ELSE_ZERO: OF_TWO(a == 0 ? 0 : b);
+    case NEG: OF_ONE(-a);
+    case INV: OF_ONE(1 / a);
+    case SQ: OF_ONE(a * a);
+    case TWICE: OF_ONE(2 * a);
+    case SQRT: OF_ONE(sqrt(a));
+    case NOT: OF_ONE(a == 0);
+    case SIGN: OF_ONE(a < 0 ? -1 : a > 0 ? 1 : a);
+    case FABS: OF_ONE(fabs(a));
+    case FLOOR: OF_ONE(floor(a));
+    case CEIL: OF_ONE(ceil(a));
+    case EXP: OF_ONE(exp(a));
+    case EXPM1: OF_ONE(expm1(a));
+    case LOG: OF_ONE(log(a));
+    case LOG1P: OF_ONE(log1p(a));
+    case ERF: OF_ONE(erf(a));
+    case SIN: OF_ONE(sin(a));
+    case COS: OF_ONE(cos(a));
+    case TAN: OF_ONE(tan(a));
+    case ASIN: OF_ONE(asin(a));
+    case ACOS: OF_ONE(acos(a));
+    case ATAN: OF_ONE(atan(a));
+    case SINH: OF_ONE(sinh(a));
+    case COSH: OF_ONE(cosh(a));
+    case TANH: OF_ONE(tanh(a));
+    case ASINH: OF_ONE(asinh(a));
+    case ACOSH: OF_ONE(acosh(a));
+    case ATANH: OF_ONE(atanh(a));
+  }
+}
+
+/* Stages t to t + count; lanes beyond them hold stage t once more. */
+static void play(const kpirl_mpc_tape *tape, const arrays *of, int t, int count, real *slots) {
+  const kpirl_mpc_operation *o = tape->operations, *const end = o + tape->n_operations;
+  int i;
+  for (; o < end; ++o) switch (o->kind) {
+      case CONSTANT:
+        for (i = 0; i < LANES; ++i) slots[o->to * LANES + i] = tape->constants[o->from];
+        break;
+      case INPUT:
+        for (i = 0; i < LANES; ++i)
+          slots[o->to * LANES + i] = of->from[o->from][(t + (i < count ? i : 0)) * of->from_step[o->from] + o->other];
+        break;
+      case OUTPUT:
+        for (i = 0; i < count; ++i) of->to[o->to][(t + i) * of->to_step[o->to] + o->other] = slots[o->from * LANES + i];
+        break;
+      default: calculate(o->kind, slots + o->from * LANES, slots + o->other * LANES, slots + o->to * LANES);
+    }
+}
+
+int kpirl_mpc_evaluate_tapes(void *self, const kpirl_mpc_horizon_arguments *arguments, const kpirl_mpc_horizon_results *results) {
+  const kpirl_mpc_tapes *tapes = (const kpirl_mpc_tapes *)self;
+  const kpirl_mpc_dimensions *n = &tapes->dimensions;
+  const int T = n->horizon, n_s = n->n_states, n_x = n_s + n->n_actions;
+  const arrays stages = {
+      {arguments->states, arguments->actions, arguments->psi, arguments->context, tapes->schedule, arguments->costates,
+       arguments->z, arguments->nu},
+      {tapes->costs, results->successor, results->path, results->equality, results->cost_gradient, results->gradient, results->F,
+       results->G, results->E, results->H},
+      {n_s, n->n_actions, 0, 0, n->n_schedule, n_s, n->n_path, n->n_equality},
+      {1, n_s, n->n_path, n->n_equality, n_x, n_x, n_s * n_x, n_x * n->n_path, n_x * n->n_equality, n_x * n_x}};
+  const arrays end = {
+      {arguments->states + T * n_s, NULL, arguments->psi, arguments->context, tapes->schedule + T * n->n_schedule, NULL,
+       arguments->z_last, arguments->nu_last},
+      {tapes->costs + T, NULL, results->path_last, results->equality_last, results->cost_gradient_last, results->gradient_last,
+       NULL, results->G_last, results->E_last, results->H_last},
+      {0},
+      {0}};
+  int t;
+  for (t = 0; t < T; t += LANES) play(&tapes->stage, &stages, t, T - t < LANES ? T - t : LANES, tapes->slots);
+  play(&tapes->last, &end, 0, 1, tapes->slots);
+  *results->cost = 0;
+  for (t = 0; t <= T; ++t) *results->cost += tapes->costs[t];
+  return 0;
+}
