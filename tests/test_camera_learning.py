@@ -227,7 +227,7 @@ def test_another_number_of_keypoints_is_refused(iiwa):
 # Learning and doing
 
 
-def test_the_path_distance_is_relative_to_the_way():
+def test_the_path_distance_is_relative_to_the_extent_of_the_path():
     demonstrated = np.zeros((3, 2))
     demonstrated[:, 0] = [0, 1, 2]
     assert path_distance(demonstrated, demonstrated) == 0
@@ -270,6 +270,7 @@ def test_a_cost_is_learned_for_the_plans_that_it_gives_from_a_cold_start():
     plan = Riccati(tolerance=1e-9).solve(two_valleys, [0.0], result.psi)
     assert result.losses[0] > result.loss == pytest.approx((plan.states[-1, 0] - 0.9) ** 2)
     assert plan.states[-1, 0] > 0
+    np.testing.assert_array_equal(result.solutions[0].states, plan.states)
 
 
 def test_a_learned_cost_says_all_that_planning_with_it_needs(tmp_path, iiwa, learned):
@@ -400,11 +401,12 @@ def test_an_execution_that_stays_far_from_the_film_says_whether_the_arm_or_the_c
 ):
     words = ["learn-video", str(moving_film), "--scale", "0.4", "--steps", "5", "--starts", "1", "--out", str(tmp_path)]
     assert run([*words, "--box", "54,74,106,126", "--iterations", "1"]) == 1
-    assert re.search(r"start 1: the arm could stay \d\.\d% of the way .* learn longer", capsys.readouterr().out)
+    said = capsys.readouterr().out
+    assert re.search(r"start 1: the arm could follow the path to within \d\.\d% of the way, .* learn longer", said)
     cost = ["--tracks", str(tmp_path / "tracks.npz"), "--cost", str(tmp_path / "cost.json")]
     assert run([*words, *cost]) == 1
     said = capsys.readouterr().out
-    assert re.search(r"start 1: the arm could stay .* learn from this one, without --cost", said)
+    assert re.search(r"start 1: the arm could follow the path .* learn from this one, without --cost", said)
     assert "--iterations" not in said
 
 

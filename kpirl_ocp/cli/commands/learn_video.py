@@ -39,7 +39,7 @@ _LEARNED_FROM = 5  # starts, so that the cost suits others, too
 
 
 def main(args: Namespace) -> int:
-    """Watch, learn, plan, execute; 1 if an execution stays more than a tenth of the way from the demonstration."""
+    """Watch, learn, plan, execute; 1 if an execution is off the demonstration by more than a tenth of the way."""
     check(args)
     film = _film(args).steadied()
     if film.camera:
@@ -75,15 +75,15 @@ def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) 
         return imitate(args, part)
     steps = part.at_rate(args.steps / float(part.times[-1]))
     scale = Scale(args.scale, args.object_size, length)
-    arm, way = arm_for(args.robot or "iiwa", args.flange, steps.positions, scale)
+    arm, displacements = arm_for(args.robot or "iiwa", args.flange, steps.positions, scale)
     print(f"scale:   {arm.scale:.3g} pixels of the arm's camera per pixel of the film{_why_smaller(arm)}")
-    learned = _learn(args, arm, way, args.steps / float(part.times[-1]))
+    learned = _learn(args, arm, displacements, args.steps / float(part.times[-1]))
     starts = other_starts(arm, args.starts, args.seed)
-    runs = [execute(arm, learned, way, start) for start in starts]
+    runs = [execute(arm, learned, displacements, start) for start in starts]
     _report(args, learned, runs)
     far = [i for i, run in enumerate(runs) if run.reached >= ALLOWED]
     for i in far:
-        print(f"start {i + 1}: {shortfall(arm, way, starts[i], runs[i], reused=bool(args.cost))}")
+        print(f"start {i + 1}: {shortfall(arm, displacements, starts[i], runs[i], reused=bool(args.cost))}")
     print(f"figure:  {draw_paths(args.out / 'paths.png', runs)}")
     print(f"picture: {draw_imitation(args.out / 'imitation.png', part, runs[0])}")
     print(f"film:    {side_by_side(args.out / 'imitation.mp4', shown, part, runs[0])}")
@@ -141,25 +141,26 @@ def _part(film: Film, tracks: Tracks) -> tuple[Film, Tracks]:
     return replace(film, start=film.start + start, end=film.start + end), tracks.between(start, end)
 
 
-def _learn(args: Namespace, arm: Arm, way: Array, rate: float) -> LearnedCost:
+def _learn(args: Namespace, arm: Arm, displacements: Array, rate: float) -> LearnedCost:
     """The cost, written to OUT, or that of --cost."""
-    check_reach(arm.setting, arm.robot, camera_demonstration(arm.setting, arm.robot, arm.start, way))
+    check_reach(arm.setting, arm.robot, camera_demonstration(arm.setting, arm.robot, arm.start, displacements))
     if args.cost:
-        return _reuse(args.cost, arm, way)
+        return _reuse(args.cost, arm, displacements)
     starts = other_starts(arm, _LEARNED_FROM, (args.seed, 1))  # none of those that are executed but the first
-    demonstrations = [camera_demonstration(arm.setting, arm.robot, start, way) for start in starts]
+    demonstrations = [camera_demonstration(arm.setting, arm.robot, start, displacements) for start in starts]
     learning = learn_in_image(arm.setting, arm.robot, demonstrations, rate, args.iterations)
     learning.cost.write(args.out / "cost.json")
-    print(f"\nIRL {learning.history}; the plan stays {learning.distance:.1%} of the way from the demonstration")
+    print(f"\nIRL {learning.history}; the plan is off the demonstration by {learning.distance:.1%} of the way")
     print(f"cost:    {args.out / 'cost.json'}\nfigure:  {draw_learning(args.out / 'learning.png', learning)}")
     return learning.cost
 
 
-def _reuse(path: Path, arm: Arm, way: Array) -> LearnedCost:
+def _reuse(path: Path, arm: Arm, displacements: Array) -> LearnedCost:
     """A cost of another film, for the goal of this one. Raises OptionError if it does not fit."""
-    learned = camera_cost(path, arm.name, len(way) - 1)
+    learned = camera_cost(path, arm.name, len(displacements) - 1)
     check_cost_arm(path, learned, arm.setting.keypoints, arm.robot.n_joints)
-    return replace(learned, setting=arm.setting, displacement=(way[-1] - way[0]).ravel() / arm.setting.unit)
+    displacement = (displacements[-1] - displacements[0]).ravel() / arm.setting.unit
+    return replace(learned, setting=arm.setting, displacement=displacement)
 
 
 def _report(args: Namespace, learned: LearnedCost, runs: list[Executed]) -> None:

@@ -26,7 +26,7 @@ _VIEW = np.array([0.0, -1.45, 0.08])  # from the bottle to the camera of another
 _BEND = 1.0  # of the joints of another arm [rad]: almost stretched, three joints hardly move the bottle lengthwise
 _SMALLER = 0.9  # of the largest scale that fits
 _MARGIN = 5.0  # keypoints stay this far inside the image [pixels]
-_SHORTEST = 3.0  # way of a keypoint that a plan can show [pixels]
+_SHORTEST = 3.0  # displacement of a keypoint that a plan can show [pixels]
 _AWAY = 0.08  # other starts from the first, and the first from joint limits, at most and at least [rad]
 _MOST = 0.3  # largest displacement of a joint in one step [rad]
 
@@ -96,21 +96,21 @@ def arm_for(name: str, flange: str | None, places: Array, scale: Scale) -> tuple
     camera, start = (Camera(), _middle()) if name == "iiwa" else _elsewhere(name, link, bare)
     depth = _bottle(name, link, bare, camera, start)[2]
     factor = scale.at(camera.intrinsics[0, 0], depth)
-    way = factor * (places - places[0])
+    displacements = factor * (places - places[0])
     if name == "iiwa":
-        start = _start_for(bare, camera, way)
+        start = _start_for(bare, camera, displacements)
     rotation, position, depth = _bottle(name, link, bare, camera, start)
     figure = factor * (places[0] - places[0].mean(axis=0))
-    fits = _share_that_fits(camera, camera.project(position), figure + way)
+    fits = _share_that_fits(camera, camera.project(position), figure + displacements)
     if fits < 1 and not scale.is_known:
-        arm, way = arm_for(name, flange, places, Scale(_SMALLER * fits * factor, None, None))
-        return replace(arm, smaller=True), way
-    _check_size(camera, figure + way, fits, factor)
+        arm, displacements = arm_for(name, flange, places, Scale(_SMALLER * fits * factor, None, None))
+        return replace(arm, smaller=True), displacements
+    _check_size(camera, figure + displacements, fits, factor)
     pinhole = Pinhole(camera.intrinsics, *camera.extrinsics)
     held = held_points(pinhole, rotation, position, figure)
-    keypoints = _on_flange(name, link, bare, start, rotation, position, held)
+    keypoints = _on_flange(link, bare, start, rotation, position, held)
     setting = ArmSetting(name, keypoints, camera.height / 2, pinhole, max_displacement=_MOST)
-    return Arm(name, link, start, camera, setting, setting.build(), factor, smaller=False), way
+    return Arm(name, link, start, camera, setting, setting.build(), factor, smaller=False), displacements
 
 
 def other_starts(arm: Arm, count: int, seed: int | tuple[int, ...]) -> list[Array]:
@@ -143,7 +143,7 @@ def _bottle(name: str, flange: str, robot: Robot, camera: Camera, theta: Array) 
 
 
 def _on_flange(
-    name: str, flange: str, robot: Robot, theta: Array, rotation: Array, position: Array, held: Array
+    flange: str, robot: Robot, theta: Array, rotation: Array, position: Array, held: Array
 ) -> tuple[Keypoint, ...]:
     """Points (K, 3) of the bottle's frame as keypoints of the link that holds it."""
     world = held @ rotation.T + position
@@ -157,13 +157,13 @@ def _middle() -> Array:
     return inverse_kinematics(x, z)
 
 
-def _start_for(iiwa: Robot, camera: Camera, way: Array) -> Array:
-    """Joints (7,) [rad] of the iiwa from which the way (T+1, K, 2) [pixels] lies in the middle of its workspace.
+def _start_for(iiwa: Robot, camera: Camera, displacements: Array) -> Array:
+    """Joints (7,) [rad] of the iiwa from which displacements (T+1, K, 2) [pixels] lie in the middle of its workspace.
 
     A place too near for its joint limits is moved away. Raises SceneError if that does not help.
     """
     per_pixel = np.linalg.norm(camera.in_plane([1.0, 0.0]) - camera.in_plane([0.0, 0.0]))
-    path = way.mean(axis=1) * [per_pixel, -per_pixel]
+    path = displacements.mean(axis=1) * [per_pixel, -per_pixel]
     centre = (path.min(axis=0) + path.max(axis=0)) / 2
     x, z = np.clip(_WORKSPACE.mean(axis=0) - centre, *_WORKSPACE)
     lower, upper = iiwa.joint_limits
@@ -200,9 +200,9 @@ def _check_size(camera: Camera, offsets: Array, fits: float, scale: float) -> No
             f"leaves its image: choose a smaller scale, as --scale {_SMALLER * fits * scale:.2g}, or a smaller "
             "--object-size."
         )
-    way = float(np.linalg.norm(offsets - offsets[0], axis=-1).max())
-    if way < _SHORTEST:
+    moved = float(np.linalg.norm(offsets - offsets[0], axis=-1).max())
+    if moved < _SHORTEST:
         raise DemonstrationError(
-            f"scaled by {scale:.3g}, the keypoints move by {way:.2g} pixels of the arm's camera: choose a larger one, "
-            f"as --scale {10 * _SHORTEST / way * scale:.2g}, or a larger --object-size."
+            f"scaled by {scale:.3g}, the keypoints move by {moved:.2g} pixels of the arm's camera: choose a larger "
+            f"one, as --scale {10 * _SHORTEST / moved * scale:.2g}, or a larger --object-size."
         )

@@ -36,17 +36,17 @@ class Executed:
     images: Frames
 
 
-def execute(arm: Arm, learned: LearnedCost, way: Array, start: Array) -> Executed:
+def execute(arm: Arm, learned: LearnedCost, displacements: Array, start: Array) -> Executed:
     """Plan with the learned cost from a start (n_joints,) [rad], and follow the plan.
 
-    way: (T+1, K, 2) displacements of the demonstration [pixels].
+    displacements: (T+1, K, 2) of the demonstration [pixels].
 
     Raises:
         SolveError: there is no plan from this start.
         SceneError: a step is too large for any rate of the scene.
     """
     setting, robot = learned.setting, arm.robot
-    demonstration = camera_demonstration(setting, robot, start, way)
+    demonstration = camera_demonstration(setting, robot, start, displacements)
     n_z = demonstration.observations.shape[1]
     plan = plan_from(learned, robot, start)
     joints = plan.states[:, n_z : n_z + robot.n_joints]
@@ -81,13 +81,13 @@ def _rate_for(actions: Array) -> int:
     return slow_enough[-1]
 
 
-def shortfall(arm: Arm, way: Array, start: Array, run: Executed, *, reused: bool) -> str:
+def shortfall(arm: Arm, displacements: Array, start: Array, run: Executed, *, reused: bool) -> str:
     """The reason why an execution stays far from the demonstration (arm, cost or motors), and what to do about it.
 
-    way, start: as in `execute`. reused: the cost was not learned from this demonstration.
+    displacements, start: as in `execute`. reused: the cost was not learned from this demonstration.
     """
     try:
-        best = check_reach(arm.setting, arm.robot, camera_demonstration(arm.setting, arm.robot, start, way))
+        best = check_reach(arm.setting, arm.robot, camera_demonstration(arm.setting, arm.robot, start, displacements))
     except DemonstrationError as error:
         return str(error)
     if run.planned >= ALLOWED:
@@ -98,10 +98,8 @@ def shortfall(arm: Arm, way: Array, start: Array, run: Executed, *, reused: bool
             else "learn longer (--iterations) if it used them all, or from a shorter part of the film (--start, --end)"
         )
         return (
-            f"the arm could stay {best:.1%} of the way from the path, the plan of the cost stays {run.planned:.1%}: "
-            f"{remedy}."
+            f"the arm could follow the path to within {best:.1%} of the way, the plan of the cost is off by "
+            f"{run.planned:.1%}: {remedy}."
         )
     remedy = "learn a cost of more steps (--steps, without --cost)" if reused else "plan more steps (--steps)"
-    return (
-        f"the plan stays {run.planned:.1%} of the way from the path, and the motors do not keep up with it: {remedy}."
-    )
+    return f"the plan is off the path by {run.planned:.1%} of the way, and the motors do not keep up with it: {remedy}."

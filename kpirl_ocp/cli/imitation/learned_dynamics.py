@@ -84,7 +84,7 @@ def check(args: Namespace) -> None:
 
 
 def imitate(args: Namespace, tracks: Tracks) -> int:
-    """Learn, plan and, in the scene, execute; 1 if the path stays more than a tenth of the way from the demonstration.
+    """Learn, plan and, in the scene, execute; 1 if the path is off the demonstration by more than a tenth of the way.
 
     Raises:
         ProblemError: person and arm have different numbers of keypoints.
@@ -143,7 +143,7 @@ def _cost(
     """Learned time-dependent weights and one effort weight, written to OUT; or the cost of --cost."""
     if args.cost:
         return _known_cost(args, dynamics), None
-    horizon = len(demonstration.observations) - 1
+    horizon = demonstration.horizon
     family = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
     limits = _limits(args, dynamics)
     problem = limited_network_ocp(dynamics, family, horizon, limits)

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,8 +43,8 @@ _SOLVER = Riccati(tolerance=1e-9)
 _OPTIMISER = LBFGS(first_step=1.0, tolerance=1e-4)
 _PATIENT = LBFGS()
 _PROGRESS = 0.05  # relative decrease of the loss for which a restart is worthwhile
-_ENOUGH = 0.015  # share of the path, root mean square, by which the tracks themselves may be off
-_TURN = 0.05  # share of the way by which a coordinate goes back where it turns, and within which it rests
+_ENOUGH = 0.015  # share of the path's extent, root mean square, by which the tracks themselves may be off
+_TURN = 0.05  # share of the path's extent by which a coordinate goes back where it turns, and within which it rests
 _FIRST_WEIGHTS = 0.01  # with efforts of 1, plans begin slowly; with larger weights they leap, each psi elsewhere
 _LEAST_EFFORT = 0.03  # of the initial effort weights
 
@@ -60,26 +61,26 @@ def held_points(camera: Pinhole, rotation: Array, position: Array, offsets: Arra
     return np.column_stack([across, np.zeros(len(across))]) @ camera.rotation @ rotation
 
 
-def camera_demonstration(setting: ArmSetting, robot: Robot, theta: Array, way: Array) -> Demonstration:
+def camera_demonstration(setting: ArmSetting, robot: Robot, theta: Array, displacements: Array) -> Demonstration:
     """The person's demonstration for an arm at rest at theta (n_joints,) [rad].
 
-    way: (T+1, K, 2) displacements of the keypoints from their first place [pixels of the arm's camera].
+    displacements: (T+1, K, 2) of the keypoints from their first place [pixels of the arm's camera].
 
     Raises ProblemError if the arm has another number of keypoints.
     """
-    if way.shape[1:] != (robot.n_keypoints, 2):
-        raise ProblemError(f"the arm has {robot.n_keypoints} keypoints, the demonstration {way.shape[1]}.")
+    if displacements.shape[1:] != (robot.n_keypoints, 2):
+        raise ProblemError(f"the arm has {robot.n_keypoints} keypoints, the demonstration {displacements.shape[1]}.")
     s0 = setting.state(robot, theta)
-    wanted = s0[: 2 * robot.n_keypoints] + way.reshape(len(way), -1) / setting.unit
+    wanted = s0[: 2 * robot.n_keypoints] + displacements.reshape(len(displacements), -1) / setting.unit
     return Demonstration(s0, wanted[-1], wanted)
 
 
 def path_distance(observations: Array, demonstrated: Array) -> float:
-    """Mean distance of two paths (T+1, 2 K), over the farthest that the demonstrated keypoints go from their start."""
-    return float(_mean_norms(observations - demonstrated).mean() / way_length(demonstrated))
+    """Mean distance of two paths (T+1, 2 K), relative to the extent of the demonstrated one."""
+    return float(_mean_norms(observations - demonstrated).mean() / path_extent(demonstrated))
 
 
-def way_length(demonstrated: Array) -> float:
+def path_extent(demonstrated: Array) -> float:
     """The farthest that the keypoints of a path (T+1, 2 K) go from their start, in the mean over them."""
     return float(_mean_norms(demonstrated - demonstrated[0]).max())
 
@@ -103,11 +104,12 @@ def learn_in_image(
 ) -> CameraLearning:
     """Learn weights of keypoints and effort at each step by the implicit gradient of the converged plan, with L-BFGS.
 
-    It ends when the plans stay within 1.5 % of the way from the demonstrations, root mean square: tracks tell no more.
+    It ends when the plans are off the demonstrations by at most 1.5 % of their extent, root mean square: tracks tell no
+    more.
 
     Args:
         setting, robot: the arm.
-        demonstrations: the same way from one start or several; weights that fit one start alone may suit others less.
+        demonstrations: the same motion from one start or several; weights that fit one start may suit others less.
             The cost takes its start and goals from the first.
         rate: [Hz] of the demonstrations' steps.
         iterations: of L-BFGS, at most.
@@ -116,19 +118,19 @@ def learn_in_image(
         CertificateError: a gradient cannot be certified.
     """
     demonstration = demonstrations[0]
-    horizon, n_z = len(demonstration.observations) - 1, demonstration.observations.shape[1]
+    horizon, n_z = demonstration.horizon, demonstration.observations.shape[1]
     cost = KeypointCost(TimeDependent(), effort=(1.0,) * horizon, learn_effort=True, positivity="softplus")
     psi0 = cost.initial(horizon, n_z, _FIRST_WEIGHTS)
     observations = demonstration.observations
-    goals = goals_of_parts(observations, _TURN * way_length(observations)) - observations[-1]
+    goals = goals_of_parts(observations, _TURN * path_extent(observations)) - observations[-1]
     problem = setting.problem(robot, cost, horizon, goals)
     least = replace(cost, effort=(_LEAST_EFFORT,) * horizon).initial(horizon, n_z)
     least[:-horizon] = -np.inf
-    enough = observations[1:].size / 2 * (_ENOUGH * way_length(observations)) ** 2
+    enough = observations[1:].size / 2 * (_ENOUGH * path_extent(observations)) ** 2
     result = learn_on(problem, demonstrations, psi0, iterations, least, enough, _OPTIMISER)
     start = demonstration.s0[n_z : n_z + robot.n_joints]
-    way = observations[-1] - observations[0]
-    learned = LearnedCost(cost, result.psi, horizon, _SOLVER, setting, start, way, rate, goals)
+    displacement = observations[-1] - observations[0]
+    learned = LearnedCost(cost, result.psi, horizon, _SOLVER, setting, start, displacement, rate, goals)
     plan = plan_from(learned, robot, start)
     return CameraLearning(learned, result, path_distance(plan.states[:, :n_z], observations))
 
@@ -151,13 +153,22 @@ def learn_on(
 
     Raises CertificateError if a gradient cannot be certified.
     """
-    result = _learn(problem, demonstrations, psi0, iterations, least, enough, optimiser)
+    run = partial(
+        learn,
+        problem,
+        demonstrations,
+        hypergradient=Implicit(_SOLVER),
+        optimiser=optimiser,
+        warm_start=False,
+        bounds=(least, np.inf),
+        callback=lambda state: state.best.loss <= enough,
+    )
+    result = run(psi0, steps=iterations).raise_if_interrupted()
     while (left := iterations + 1 - len(result.losses)) > 0 and result.loss > enough:
-        more = _learn(problem, demonstrations, result.psi, left, least, enough, optimiser)
+        more = run(result.psi, steps=left).raise_if_interrupted()
         stuck = more.loss > (1 - _PROGRESS) * result.loss
-        result = LearningResult(
-            psi=more.psi,
-            loss=more.loss,
+        result = replace(
+            more,
             losses=np.concatenate([result.losses, more.losses[1:]]),
             psis=np.concatenate([result.psis, more.psis[1:]]),
             seconds=np.concatenate([result.seconds, result.seconds[-1] + more.seconds[1:]]),
@@ -166,28 +177,6 @@ def learn_on(
         if stuck:
             break
     return result
-
-
-def _learn(
-    problem: OCP,
-    demonstrations: Sequence[Demonstration],
-    psi0: Array,
-    iterations: int,
-    least: Array | float,
-    enough: float,
-    optimiser: LBFGS,
-) -> LearningResult:
-    return learn(
-        problem,
-        demonstrations,
-        psi0,
-        Implicit(_SOLVER),
-        optimiser,
-        iterations,
-        warm_start=False,
-        bounds=(least, np.inf),
-        callback=lambda state: state.best.loss <= enough,
-    ).raise_if_interrupted()
 
 
 def plan_from(learned: LearnedCost, robot: Robot, theta: Array) -> Solution:

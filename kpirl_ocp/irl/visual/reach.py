@@ -22,15 +22,15 @@ _ACROSS = 0.3  # share of a motion that may be left out when it is composed of s
 
 def check_reach(setting: ArmSetting, robot: Robot, demonstration: Demonstration) -> float:
     """The path distance of the arm's best plan from the demonstration. Raises DemonstrationError if it is too large."""
-    horizon, n_z = len(demonstration.observations) - 1, demonstration.observations.shape[1]
-    tracker = tracking_problem(robot, horizon, setting.unit, setting.camera)
+    n_z = demonstration.observations.shape[1]
+    tracker = tracking_problem(robot, demonstration.horizon, setting.unit, setting.camera)
     theta = demonstration.s0[n_z : n_z + robot.n_joints]
     plan = Riccati(tolerance=1e-9).solve(tracker, theta, (), demonstration.observations[1:].ravel())
     found = np.array([setting.state(robot, at)[:n_z] for at in plan.states])
     distance = path_distance(found, demonstration.observations)
     if not plan.status.ok or distance > _OUT_OF_REACH:
         raise DemonstrationError(
-            f"the arm cannot follow this path: at best it stays {distance:.0%} of the way from it. "
+            f"the arm cannot follow this path: at best it is off by {distance:.0%} of the way. "
             f"{_remedy(setting, robot, theta, demonstration.observations)}"
         )
     return distance
