@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from importlib import import_module
+from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -149,7 +150,9 @@ class Brief:
 
 
 def brief(value: Any) -> str:
-    """The text of a value: shapes of arrays, and the numbers of short ones."""
+    """The text of a value: shapes of arrays, and the numbers of short ones; of functions their names."""
+    if isinstance(value, FunctionType):
+        return value.__qualname__
     if hasattr(value, "shape"):
         shape = tuple(value.shape)
         short = math.prod(shape) <= _FEW and 0 not in shape[:-1] + shape[1:]

@@ -88,6 +88,10 @@ def test_a_record_of_arrays_prints_their_shapes_and_the_numbers_of_short_ones(re
     assert "path=<array (12, 0)>" in repr(solution.multipliers)
 
 
+def test_the_text_of_a_method_names_its_loss():
+    assert re.search(r"^Implicit\(solver=Riccati\(.*\), loss=squared_distance, policy='raise'", repr(Implicit()))
+
+
 def test_a_certificate_prints_its_verdict_before_its_numbers(problem, results):
     certificate = results["certificate"]
     assert repr(certificate).startswith("SensitivityCertificate(certified, kkt_residual=")

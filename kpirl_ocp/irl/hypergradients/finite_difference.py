@@ -32,6 +32,7 @@ from kpirl_ocp.ocp.problem.statement.checks import number
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, Policy, check_policy
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration, Solution
 
 _LEVELS = 4
@@ -55,8 +56,8 @@ class FiniteDifferenceCertificate(Certificate):
     gap: Array
 
 
-@dataclass(frozen=True)
-class FiniteDifference:
+@dataclass(frozen=True, repr=False)
+class FiniteDifference(Brief):
     """Central differences of the loss with Ridders' extrapolation.
 
     solver: any solver; of GradientDescent it differentiates the N steps, of others the solution of the OCP.

@@ -32,11 +32,12 @@ from kpirl_ocp.ocp.sensitivity.certificate import check_policy
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 from kpirl_ocp.ocp.solvers.many import side_by_side
 from kpirl_ocp.ocp.solvers.riccati import Riccati
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Demonstration, Solution
 
 
-@dataclass(frozen=True)
-class Implicit:
+@dataclass(frozen=True, repr=False)
+class Implicit(Brief):
     """The gradient of the loss at the solution of the OCP.
 
     solver: any solver; the policy "smooth" needs one that can solve the smoothed problem (Riccati, Ipopt).

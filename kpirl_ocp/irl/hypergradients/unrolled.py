@@ -40,6 +40,7 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.sensitivity.certificate import KINK, WRONG_DERIVATIVES, Certificate, Policy, check_policy
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, audited
+from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration, Solution
 
 # An iterate this close to a bound before projection [units of u] sits on the kink of the projection.
@@ -86,8 +87,8 @@ class UnrolledCertificate(Certificate):
     kink: float
 
 
-@dataclass(frozen=True)
-class Unrolled:
+@dataclass(frozen=True, repr=False)
+class Unrolled(Brief):
     """The exact gradient of the loss after all N steps.
 
     It is the derivative of the map that the steps make up, converged or not (`certificate.solution.status`).
@@ -132,8 +133,8 @@ class Unrolled:
         return [enforce(self.policy, result) for result in results]
 
 
-@dataclass(frozen=True)
-class Truncated:
+@dataclass(frozen=True, repr=False)
+class Truncated(Brief):
     """The gradient through the last steps only: biased on purpose, and not certified unless the remainder vanishes.
 
     last: k, number of the solver's last steps in the reverse pass.
