@@ -141,6 +141,13 @@ def test_inequalities_are_refused(method):
         method(CASES["integrator"](), [np.zeros((12, 1))])
 
 
+def test_inverse_kkt_refuses_a_motion_that_is_stationary_under_all_weights():
+    problem = CASES["lqr"]().problem
+    resting = Demonstration([0.0], [], np.zeros((problem.horizon + 1, 1)))
+    with pytest.raises(ProblemError, match="stationary under all weights"):
+        inverse_kkt(problem, [resting], [np.zeros((problem.horizon, 1))])
+
+
 def test_costs_that_are_not_linear_in_psi_are_refused():
     case = CASES["iiwa"]()  # softplus weights
     problem = case.problem.unconstrained()

@@ -28,12 +28,15 @@ def inverse_kkt(problem: OCP, demonstrations: Sequence[Demonstration], actions: 
         actions: (T, n_u) of every demonstration.
 
     Raises:
-        ProblemError: another problem.
+        ProblemError: another problem, or demonstrations that are stationary under all weights.
     """
     found = conditions(problem, demonstrations, actions)
     if any(np.abs(one.gradient).max() > 1e-12 * np.abs(one.gradients).max() for one in found):
         raise ProblemError("inverse KKT needs a cost that is zero at psi = 0: learn the effort weight, too.")
-    return simplex_least_squares(np.vstack([one.gradients for one in found]))
+    gradients = np.vstack([one.gradients for one in found])
+    if not gradients.any():
+        raise ProblemError("the demonstrations are stationary under all weights, and so tell nothing about them.")
+    return simplex_least_squares(gradients)
 
 
 def simplex_least_squares(matrix: Array) -> Array:
