@@ -224,7 +224,7 @@ def test_unrolled_learning_can_learn_effort_too():
     wanted = demonstration(np.ones((T, 2 * K)), efforts=3.0)
     rngs = [np.random.default_rng(0), np.random.default_rng(0)]
     without = learn_unrolled(DYNAMICS, [wanted], COSTS["Weighted"], INNER, 40, rngs[0], Adam(3e-2))
-    with_it = learn_unrolled(DYNAMICS, [wanted], COSTS["Weighted"], INNER, 40, rngs[1], Adam(3e-2), effort="learned")
+    with_it = learn_unrolled(DYNAMICS, [wanted], COSTS["Weighted"], INNER, 40, rngs[1], Adam(3e-2), learn_effort=True)
     assert not without.cost.efforts.any()
     assert with_it.cost.efforts[0] > 0
 

@@ -56,8 +56,7 @@ def learn(dynamics: NetworkDynamics, demonstrations: Sequence[Demonstration], le
         optimiser = Descent(_DESCENT[method])
         return learn_unrolled(dynamics, demonstrations, basis, inner, iterations, rng, optimiser, start=PAPER_START)
     if method.startswith("unrolled"):
-        effort = "learned" if "effort" in method else None
-        return learn_unrolled(dynamics, demonstrations, basis, inner, iterations, rng, effort=effort)
+        return learn_unrolled(dynamics, demonstrations, basis, inner, iterations, rng, learn_effort="effort" in method)
     kinds = {
         "implicit": "fixed",
         "implicit, effort learned": "learned",

@@ -89,7 +89,7 @@ def learn_unrolled(
     iterations: int,
     rng: np.random.Generator,
     optimiser: Optimiser = ADAM,
-    effort: Effort | None = None,
+    learn_effort: bool = False,
     start: float | None = None,
 ) -> LearnedPlan:
     """Learn with unrolled gradients, the paper's Algorithm 1.
@@ -98,20 +98,16 @@ def learn_unrolled(
         iterations: number of outer iterations.
         rng: draws the initial weights, unless `start` gives them.
         optimiser: Adam as in the paper's code, or `Descent` as in the paper's text.
-        effort: None for no effort, as in the paper; else it is learned, starting from a small value.
+        learn_effort: learn one effort weight too, starting from a small value; the paper has none.
         start: one initial value for all weights, as in the paper's code.
 
     Raises:
         ProblemError: demonstrations differ in length.
         CertificateError: a loss or gradient became NaN.
     """
-    horizon = horizon_of(demonstrations)
-    learned = effort is not None
-    rho: float | tuple[float, ...] = 0.1 * inner.effort if learned else 0.0
-    if effort == "learned per step":
-        rho = (float(np.mean(rho)),) * horizon
-    cost = KeypointCost(basis, effort=rho, learn_effort=learned)
-    weights = starting_weights(basis, horizon, dynamics.n_z, rng)
+    rho = 0.1 * inner.effort if learn_effort else 0.0
+    cost = KeypointCost(basis, effort=rho, learn_effort=learn_effort)
+    weights = starting_weights(basis, horizon_of(demonstrations), dynamics.n_z, rng)
     if start is not None:
         weights = np.full_like(weights, start)
     method = Unrolled(inner.solver)
@@ -157,7 +153,7 @@ def learn_by_apprenticeship(
 
 def horizon_of(demonstrations: Sequence[Demonstration]) -> int:
     """The common T. Raises ProblemError if demonstrations differ in length, or there are none."""
-    horizons = {len(demonstration.observations) - 1 for demonstration in demonstrations}
+    horizons = {demonstration.horizon for demonstration in demonstrations}
     if len(horizons) != 1:
         raise ProblemError(f"demonstrations must have one length, got T = {sorted(horizons) or 'none at all'}.")
     return horizons.pop()
