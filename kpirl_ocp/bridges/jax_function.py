@@ -51,17 +51,21 @@ def ocp_function(
     sizes = problem.n_parameters, problem.n_states, problem.n_context
     steps = problem.horizon
 
-    def solve(psi: Array, s0: Array, context: Array) -> tuple[Array, ...]:
-        lead, (psi, s0, context), example = *_rows((psi, s0, context), sizes), psi
-        outputs = batch.outputs(batch.solve(psi, s0, context, [None] * len(psi)))
-        return _like(example, *(output.reshape((*lead, *output.shape[1:])) for output in outputs))
+    def solved(given: tuple[Array, ...]) -> tuple[tuple[int, ...], list[Solution]]:
+        """The leading axes of a batch, and its solutions."""
+        lead, (psi, s0, context) = _rows(given, sizes)
+        return lead, batch.solve(psi, s0, context, [None] * len(psi))
+
+    def solve(*given: Array) -> tuple[Array, ...]:
+        lead, solutions = solved(given)
+        outputs = batch.outputs(solutions)
+        return _like(given[0], *(output.reshape((*lead, *output.shape[1:])) for output in outputs))
 
     def pull(psi: Array, s0: Array, context: Array, *by_outputs: Array) -> tuple[Array, ...]:
-        lead, (psi, s0, context), example = *_rows((psi, s0, context), sizes), psi
-        solved: list[Solution] = batch.solve(psi, s0, context, [None] * len(psi))
-        slopes = (np.asarray(x, float).reshape((len(solved), *np.shape(x)[len(lead) :])) for x in by_outputs)
-        *gradients, _ = batch.pull(solved, *slopes)
-        return _like(example, *(g.reshape(*lead, g.shape[1]) for g in gradients))
+        lead, solutions = solved((psi, s0, context))
+        slopes = (np.asarray(x, float).reshape((len(solutions), *np.shape(x)[len(lead) :])) for x in by_outputs)
+        *gradients, _ = batch.pull(solutions, *slopes)
+        return _like(psi, *(g.reshape(*lead, g.shape[1]) for g in gradients))
 
     @jax.custom_vjp
     def plan(psi: jax.Array, s0: jax.Array, context: jax.Array) -> tuple[jax.Array, ...]:

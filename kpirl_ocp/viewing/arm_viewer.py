@@ -24,7 +24,7 @@ def show_arm(
         robot: the arm.
         joints: (T+1, n_joints) [rad].
         rate: steps per second [Hz] at which it is played.
-        goal: keypoints (K, 3) or (3 K,) [m] to show as rings; None for none.
+        goal: keypoints (K, 3) or (3 K,) [m] to show as grey balls; None for none.
         port: of the server; the next free one is taken.
 
     Raises:
@@ -83,9 +83,9 @@ class ArmViewer:
         self.server.scene.add_line_segments(
             "arm", lines, colors=_rgb("#555555"), thickness=8.0, thickness_units="screen"
         )
-        for name, points, size in (("joints", skeleton[:-1], 0.035), ("keypoints", keypoints, 0.025)):
-            colours = np.array([_rgb(COLOURS[i % len(COLOURS)] if name == "keypoints" else "#222222")
-                                for i in range(len(points))])  # fmt: skip
+        dots = (("joints", skeleton[:-1], 0.035, ("#222222",)), ("keypoints", keypoints, 0.025, COLOURS))
+        for name, points, size, palette in dots:
+            colours = np.array([_rgb(palette[i % len(palette)]) for i in range(len(points))])
             self.server.scene.add_point_cloud(name, points, colours, point_size=size, point_shape="circle")
 
     def play(self) -> None:

@@ -9,13 +9,13 @@ from __future__ import annotations
 import importlib.util
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 
 from bench.contenders import NOT_INSTALLED, find
 from bench.part import Numbers, Part, Table
 from bench.problem import random_network
 from bench.settings import Preset
 from kpirl_ocp import GradientDescent, Implicit, Riccati, Unrolled
+from kpirl_ocp.irl.learning.comparison import peak_memory, reset_peak_memory
 
 UNROLLED, CHECKPOINTS, IMPLICIT = "Unrolled", "Unrolled, checkpoints", "Implicit(Riccati)"
 _BARRIER = 1e-2
@@ -65,15 +65,15 @@ def _contender(preset: Preset, name: str) -> float | None:
         import jax
 
         jax.block_until_ready(jax.numpy.zeros(1) + 1)  # JAX starts at its first use
-    before = _reset_peak()
+    before = reset_peak_memory()
     prepare(data)()
-    return (_status("VmHWM") - before) / 2**20
+    return (peak_memory() - before) / 2**20
 
 
 def _iterations(preset: Preset, method: str, count: int) -> float:
     data = random_network(preset.hidden, preset.paper_horizon, count, "tanh")
     demonstration, psi = data.demonstrations[0], data.psi.ravel()
-    before = _reset_peak()
+    before = reset_peak_memory()
     if method == IMPLICIT:  # the steps go on at the solution
         problem, solver = data.bounded, Riccati(barrier=_BARRIER)
         guess = solver.solve(problem, demonstration.s0, psi, demonstration.context)
@@ -82,16 +82,4 @@ def _iterations(preset: Preset, method: str, count: int) -> float:
     else:
         solver = GradientDescent(count, data.step_size * min(1.0, 20 / count))
         Unrolled(solver, policy="flag", checkpoint=method == CHECKPOINTS)(data.problem, demonstration, psi)
-    return (_status("VmHWM") - before) / 2**20
-
-
-def _reset_peak() -> int:
-    """Forget the peak so far, and give what is resident now [bytes]."""
-    Path("/proc/self/clear_refs").write_text("5")
-    return _status("VmRSS")
-
-
-def _status(field: str) -> int:
-    """A field of /proc/self/status [bytes]."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(field))
+    return (peak_memory() - before) / 2**20

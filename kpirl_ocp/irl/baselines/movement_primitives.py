@@ -17,6 +17,7 @@ from kpirl_ocp.types import Array
 
 _DECAY = 4.0  # alpha: x falls to 0.02 within one duration
 _STIFFNESS = 150.0  # K, per squared duration
+_RANK = 1e-8  # singular values below this share of the largest are of kernels that the samples do not tell apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +43,8 @@ class MovementPrimitive:
             spring = path[-1] - path - (path[-1] - path[0]) * x[:, None]
             rows.append(_features(x, kernels))
             forces.append((acceleration + 2 * np.sqrt(_STIFFNESS) * velocity) / _STIFFNESS - spring)
-        found, *_ = np.linalg.lstsq(np.vstack(rows), np.vstack(forces), rcond=1e-8)
-        return cls(found)
+        weights, *_ = np.linalg.lstsq(np.vstack(rows), np.vstack(forces), rcond=_RANK)
+        return cls(weights)
 
     def run(self, start: Array, goal: Array, steps: int, substeps: int = 20) -> Array:
         """The path (steps + 1, n) from start at rest towards goal, in one unit of time, by semi-implicit Euler."""
@@ -52,8 +53,8 @@ class MovementPrimitive:
         forces = _features(x, len(self.weights)) @ self.weights
         y, v, path = np.array(start, float), np.zeros_like(start, float), [np.array(start, float)]
         for k, force in enumerate(forces):
-            pull = _STIFFNESS * (goal - y - (goal - start) * x[k] + force) - 2 * np.sqrt(_STIFFNESS) * v
-            v = v + dt * pull
+            acceleration = _STIFFNESS * (goal - y - (goal - start) * x[k] + force) - 2 * np.sqrt(_STIFFNESS) * v
+            v = v + dt * acceleration
             y = y + dt * v
             if (k + 1) % substeps == 0:
                 path.append(y)

@@ -52,7 +52,7 @@ class ScalarLQR:
 
 @lru_cache
 def lqr(data: ScalarLQR = ScalarLQR()) -> Case:
-    """The scalar LQR; `quadratic` is the same problem in numpy."""
+    """The scalar LQR as an OCP that observes the state."""
     s, u, psi = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("psi", 3)
     problem = OCP.from_expressions(
         state=s,

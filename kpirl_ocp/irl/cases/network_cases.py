@@ -117,6 +117,6 @@ def network_case(
         plain.simulate(*pair, psi.ravel()) for pair in zip(s0, np.repeat(speeds[:, None], horizon, 1), strict=True)
     ]
     observed = np.array([motion.states[:, :N_Z] for motion in motions])
-    alpha = step_size * min(1.0, 25 / horizon) ** 2
+    alpha = step_size * min(1.0, 25 / horizon) ** 2  # all actions before z_t move it: curvature grows like T^2
     effort, reach = 1e-3 / alpha, float(moves.max()) / horizon  # the fastest demonstrated speed
     return NetworkCase(name, model, s0, observed[:, -1], observed, psi, steps, alpha, effort, reach)

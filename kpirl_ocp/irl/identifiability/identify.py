@@ -126,8 +126,8 @@ class Identification(Brief):
 
     def _around(self, rows: Array, deviations: Array, level: float) -> Array:
         share = number("level", level, "between 0 and 1", 0, 1)
-        reach = stats.t.ppf(0.5 + share / 2, self.freedom) * deviations
-        return (rows @ self.psi)[:, None] + reach[:, None] * [-1.0, 1.0]
+        halfwidths = stats.t.ppf(0.5 + share / 2, self.freedom) * deviations
+        return (rows @ self.psi)[:, None] + halfwidths[:, None] * [-1.0, 1.0]
 
     @property
     def _resolved(self) -> Mask:
@@ -212,7 +212,8 @@ def _spread(spread: ArrayLike, n: int) -> Array:
 def estimate_noise(residuals: Array, eigenvalues: Array) -> tuple[float, float]:
     """sigma and its degrees of freedom n - gamma, with gamma = sum lambda / (lambda + sigma^2) parameters in use.
 
-    The effective number of parameters of MacKay (Bayesian Interpolation, 1992, section 4.4); a fixed point.
+    The effective number of parameters of MacKay (Bayesian Interpolation, 1992, section 4.4). It is the fixed point of
+    sigma^2 = |r|^2 / (n - gamma), a contraction of log sigma^2, as no more than n eigenvalues are positive.
     """
     squares, largest = float(residuals @ residuals), eigenvalues.max(initial=0.0)
     found = eigenvalues[eigenvalues > _RANK * largest]
@@ -231,7 +232,7 @@ def estimate_noise(residuals: Array, eigenvalues: Array) -> tuple[float, float]:
 
 
 def _decrement(jacobian: Array, residuals: Array, noise: float) -> float:
-    """|J (J^T J + sigma^2)^-1/2 J^T r| in the metric of the posterior, over sigma; J in units of the spread."""
+    """|(J^T J + sigma^2)^-1/2 J^T r| / sigma, the length of the Gauss-Newton step; J in units of the spread."""
     left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
     share = singular**2 / (singular**2 + noise**2) if noise > 0 else 1.0 * (singular > 0)
     length = np.linalg.norm(np.sqrt(share) * (left.T @ residuals))

@@ -130,18 +130,23 @@ def _measure(source: str, steps: list[int], index: int, exact: Array) -> Measure
     case = case_of(source)
     label, n, method = list(methods(case, steps))[index]
     case.problem.simulate(case.demonstration.s0, np.zeros((case.problem.horizon, case.problem.n_actions)), case.psi)
-    before = _reset_peak_memory()
+    before = reset_peak_memory()
     result = method(case.problem, case.demonstration, case.psi)
-    memory = _memory("VmHWM") - before
+    memory = peak_memory() - before
     seconds = median_seconds(lambda: method(case.problem, case.demonstration, case.psi))
     error = relative_error(result.gradient, exact)
     return Measurement(label, n, error, seconds, memory, str(result.certificate))
 
 
-def _reset_peak_memory() -> int:
-    """Forget the peak of importing and building (Linux), and give what is resident now [bytes]."""
+def reset_peak_memory() -> int:
+    """Forget the peak of this process so far (Linux), and give what is resident now [bytes]."""
     Path("/proc/self/clear_refs").write_text("5")
     return _memory("VmRSS")
+
+
+def peak_memory() -> int:
+    """The largest resident memory of this process since `reset_peak_memory` [bytes]."""
+    return _memory("VmHWM")
 
 
 def _memory(field: str) -> int:

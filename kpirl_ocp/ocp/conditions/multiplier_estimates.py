@@ -21,9 +21,8 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Multipliers, Trajectory
 
 _NEAR = 0.1  # multipliers are zero where the slack is larger: their product, which has to be small, shows them
-_DEPENDENT = (
-    1e-12  # weight that keeps multipliers of dependent equalities finite, relative to the largest slope squared
-)
+# Weight that keeps multipliers of dependent equalities finite, relative to the largest slope squared.
+_DEPENDENT = 1e-12
 
 
 def estimate_multipliers(problem: OCP, psi: Array, context: Array, trajectory: Trajectory) -> Multipliers | None:
