@@ -23,9 +23,9 @@ from bench.settings import Preset
 from bench.timing import interleaved
 from kpirl_ocp import OCP, Ipopt, Riccati
 from kpirl_ocp.ocp.codegen.compiler import EXPORT_FLAGS_NATIVE, find_compiler
-from kpirl_ocp.ocp.conditions.program import limits_from, starting_point, transcribe
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.ocp.sensitivity import sensitivity
+from kpirl_ocp.ocp.solvers.instance import Instance, nonlinear_program
 
 OURS, WITHOUT, PEER = "Riccati", "Riccati, no compiler", "Ipopt, compiled functions"
 EXPORTED, GRADIENT = "exported controller", "gradient and certificate"
@@ -120,13 +120,10 @@ def _compiled_ipopt(case: ControlProblem, folder: Path) -> tuple[Callable[[], ob
     problem, command = case.problem, find_compiler()
     if command is None:
         return None, 0
-    program = transcribe(problem)
-    w, *others = program.symbols
-    objective = program.values(*program.symbols)[0]
-    nlp = {"x": w, "p": ca.vertcat(*others), "f": objective, "g": program.rows}
     settings = {"tol": TOLERANCE, "print_level": 0, "sb": "yes", "nlp_scaling_method": "none"}
     options = {"ipopt": settings, "print_time": False}
-    ca.nlpsol("peer", "ipopt", nlp, options).generate_dependencies("peer.c", {"with_header": False})
+    own = ca.nlpsol("peer", "ipopt", nonlinear_program(problem), options)
+    own.generate_dependencies("peer.c", {"with_header": False})
     source, library = Path("peer.c"), folder / "peer.so"
     source.rename(folder / "peer.c")
     subprocess.run(
@@ -134,14 +131,6 @@ def _compiled_ipopt(case: ControlProblem, folder: Path) -> tuple[Callable[[], ob
         check=True,
     )
     solver = ca.nlpsol("peer", "ipopt", str(library), options)
-    lower, upper = limits_from(problem, case.s0)
-    given = {
-        "x0": starting_point(problem, case.s0, case.psi, case.context, None),
-        "p": np.concatenate([case.psi, case.context]),
-        "lbx": lower,
-        "ubx": upper,
-        "lbg": np.repeat([0.0, -np.inf], [program.n_equalities, program.n_inequalities]),
-        "ubg": 0.0,
-    }
+    given = Instance.of(*case.arguments, None).arguments(None)
     solver(**given)
     return (lambda: solver(**given)), int(solver.stats()["iter_count"])

@@ -25,6 +25,7 @@ from kpirl_ocp.irl.learning.apprenticeship import apprenticeship
 from kpirl_ocp.irl.learning.evaluation import evaluate
 from kpirl_ocp.irl.learning.learn import learn
 from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Descent
+from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.ocp.models.keypoint_costs import Default, KeypointCost, Weighted
 from kpirl_ocp.ocp.models.keypoint_problems import keypoint_ocp
 from kpirl_ocp.ocp.models.robot import Robot
@@ -62,12 +63,12 @@ class StudySettings:
     @property
     def inner(self) -> GradientDescent:
         """The inner loop of N steps."""
-        return GradientDescent(self.inner_steps, self.step_size)
+        return InnerLoop(self.inner_steps, self.step_size).solver
 
     @property
     def effort(self) -> float:
-        """rho of about 1 / (2 alpha N), which lets a converged problem move as far as N gradient steps."""
-        return 1 / (2 * self.step_size * self.inner_steps)
+        """The effort weight with which the converged plan moves about as far."""
+        return InnerLoop(self.inner_steps, self.step_size).effort
 
 
 @dataclass(frozen=True)

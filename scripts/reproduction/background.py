@@ -13,10 +13,10 @@ import numpy as np
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.perception.dynamics.augmentation import DETECTION
 from kpirl_ocp.types import Array, Demonstration
-from reproduction.contenders import LITERAL, MORE_STEPS, SMALL_START, UNROLLED, Contender
+from reproduction.contenders import LITERAL, MORE_STEPS, SMALL_START, UNROLLED, Contender, in_a_name
 from reproduction.data import Models
-from reproduction.identification import DETECTION
 from reproduction.learning import Lesson, learn_or_fail
 from reproduction.sweep import Job, Result
 
@@ -51,7 +51,7 @@ def jobs(
 
 def name_of(task: str, contender: Contender) -> str:
     """Name of the job."""
-    return f"background/{task}-{contender.label.replace(', ', '-').replace(' ', '-')}"
+    return f"background/{task}-{in_a_name(contender.label)}"
 
 
 def run(task: str, models: Models, demonstrations: list[Demonstration], lesson: Lesson) -> Result:

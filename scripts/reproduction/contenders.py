@@ -27,6 +27,11 @@ class Contender:
         return chosen if "more steps" in self.method or "implicit" in self.method else PAPER_LOOP
 
 
+def in_a_name(label: str) -> str:
+    """The label as a part of a job's name: dashes for commas and spaces."""
+    return label.replace(", ", "-").replace(" ", "-")
+
+
 UNROLLED = tuple(Contender(cost, "unrolled") for cost in COSTS)
 LITERAL = tuple(Contender(cost, "unrolled, to the letter") for cost in COSTS)
 SMALL_START = tuple(Contender(cost, "unrolled, small start") for cost in COSTS)

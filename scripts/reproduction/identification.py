@@ -20,10 +20,10 @@ from kpirl_ocp.irl.identifiability.identify import identify
 from kpirl_ocp.irl.visual.learning import CONVERGED, InnerLoop, LearnedPlan, horizon_of
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
+from kpirl_ocp.perception.dynamics.augmentation import DETECTION
 from kpirl_ocp.types import Array, Demonstration
 from reproduction.sweep import Result
 
-DETECTION = 0.5 / 120  # noise of a detected keypoint: half a pixel [image half-widths]
 HALF = 5  # steps: weights early and late are those of the first and of the last five
 LEVEL = 0.9
 

@@ -25,7 +25,7 @@ from reproduction.contenders import (
 )
 from reproduction.settings import STARTS, Preset
 from reproduction.sweep import Result
-from reproduction.tables import demonstrations
+from reproduction.tables import demonstrations, restlessness
 
 # An inner loop's name, what was learned with it, and what that is compared with.
 _LOOPS = (
@@ -126,12 +126,6 @@ def _nearer(
     text = f"Reaching, {demonstrations(count)}, {loop}: all learned costs end nearer to the goal than {names}."
     numbers = f"{_list(ours)}; {_list(theirs)} (relative distance)"
     return Claim(text, max(ours.values()) < min(theirs.values()), numbers)
-
-
-def restlessness(losses: Sequence[Array]) -> float:
-    """Share of outer iterations in which the training loss rose by more than 1 %."""
-    rises = [np.mean(np.diff(run) > 0.01 * run[:-1]) for run in losses if len(run) > 1]
-    return float(np.mean(rises)) if rises else 0.0
 
 
 def axis_weights(weights: Array) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from kpirl_ocp.perception.plant.camera_plant import CameraPlant, Disturbance
 from kpirl_ocp.perception.plant.starts import RATE, placing_starts
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array, Demonstration
-from reproduction.contenders import PLACING, Contender, iterations_of
+from reproduction.contenders import PLACING, Contender, in_a_name, iterations_of
 from reproduction.data import HandClip, Models
 from reproduction.learning import Lesson, learn_or_fail, unpacked
 from reproduction.settings import STARTS, Preset
@@ -73,7 +73,7 @@ def jobs(models: Models, found: dict[int, Setup], chosen: InnerLoop, preset: Pre
 
 def name_of(contender: Contender, seed: int) -> str:
     """Name of the job."""
-    return f"placing/{contender.cost}-{contender.method.replace(', ', '-').replace(' ', '-')}-{seed}"
+    return f"placing/{contender.cost}-{in_a_name(contender.method)}-{seed}"
 
 
 def run(models: Models, demonstration: Demonstration, lesson: Lesson) -> Result:
@@ -120,7 +120,7 @@ def execution_jobs(models: Models, found: dict[int, Setup], learned: dict[str, R
 def executed_name(contender: Contender, seed: int, start: int, closed: bool) -> str:
     """Name of the job."""
     loop = "closed" if closed else "open"
-    return f"placing-executed/{contender.label.replace(', ', '-').replace(' ', '-')}-{seed}-{start}-{loop}"
+    return f"placing-executed/{in_a_name(contender.label)}-{seed}-{start}-{loop}"
 
 
 def execute(models: Models, learned: Result, joints: Array, setup: Setup, closed_loop: bool) -> Result:

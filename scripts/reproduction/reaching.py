@@ -17,7 +17,7 @@ from kpirl_ocp.irl.visual.demonstrations import moving_keypoints, positions, rob
 from kpirl_ocp.irl.visual.learning import InnerLoop
 from kpirl_ocp.irl.visual.planning_costs import planning_problem
 from kpirl_ocp.types import Demonstration, Mask
-from reproduction.contenders import REACHING, REACHING_EXECUTED, Contender, iterations_of
+from reproduction.contenders import REACHING, REACHING_EXECUTED, Contender, in_a_name, iterations_of
 from reproduction.data import Models
 from reproduction.learning import Lesson, learn_or_fail, unpacked
 from reproduction.settings import Preset
@@ -57,7 +57,7 @@ def jobs(
 
 def name_of(contender: Contender, count: int, seed: int) -> str:
     """Name of the job."""
-    return f"reaching/{contender.cost}-{contender.method.replace(', ', '-').replace(' ', '-')}-{count}-{seed}"
+    return f"reaching/{contender.cost}-{in_a_name(contender.method)}-{count}-{seed}"
 
 
 def run(

@@ -10,7 +10,7 @@ import numpy as np
 from kpirl_ocp.perception.plant.camera_plant import Disturbance
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array
-from reproduction.contenders import TABLE_1, Contender
+from reproduction.contenders import TABLE_1, Contender, in_a_name
 from reproduction.data import Models
 from reproduction.placing import Condition, Setup, name_of, play, scores
 from reproduction.settings import STARTS
@@ -43,7 +43,7 @@ def jobs(models: Models, found: dict[int, Setup], learned: dict[str, Result], ex
 
 def job_name(contender: Contender, start: int) -> str:
     """Name of the job."""
-    return f"placing-repeated/{contender.label.replace(', ', '-').replace(' ', '-')}-{start}"
+    return f"placing-repeated/{in_a_name(contender.label)}-{start}"
 
 
 def run(models: Models, learned: Result, joints: Array, setup: Setup, executions: int) -> Result:

@@ -28,10 +28,10 @@ from reproduction.contenders import (
     UNROLLED,
     Contender,
 )
-from reproduction.outcome import Outcome, claims, restlessness
+from reproduction.outcome import Outcome, claims
 from reproduction.page import Page
 from reproduction.settings import PAPER_LOOP, STARTS
-from reproduction.tables import demonstrations, per_seed, spread
+from reproduction.tables import demonstrations, per_seed, restlessness, spread
 
 # Table 1 of the paper: mean and standard deviation of the squared distance, in its own unit.
 _PAPER = {

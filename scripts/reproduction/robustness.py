@@ -8,7 +8,7 @@ import numpy as np
 
 from kpirl_ocp.perception.plant.camera_plant import Disturbance
 from kpirl_ocp.perception.scene.scene import Scene
-from reproduction.contenders import DEFAULT_MORE_STEPS, MORE_STEPS, Contender
+from reproduction.contenders import DEFAULT_MORE_STEPS, MORE_STEPS, Contender, in_a_name
 from reproduction.data import Models
 from reproduction.placing import SUCCESS, Condition, Setup, name_of, play, scores
 from reproduction.sweep import Job, Result
@@ -63,7 +63,7 @@ def label(contender: Contender, closed: bool) -> str:
 def name(condition: str, contender: Contender, closed: bool) -> str:
     """Name of the job."""
     parts = (condition, contender.label, "closed" if closed else "open")
-    return "robustness/" + "-".join(parts).replace(", ", "-").replace(" ", "-")
+    return "robustness/" + in_a_name("-".join(parts))
 
 
 def run(

@@ -14,6 +14,7 @@ from kpirl_ocp.irl.cases.tasks import TASKS
 from kpirl_ocp.reporting import said_if_interrupted, spread, table, write_metrics
 from reproduction.simulation import curve_of, job_of, variants_of
 from reproduction.sweep import run_sweep, with_joblib
+from reproduction.tables import restlessness
 
 Results = dict[tuple[str, int], dict[str, Curve]]
 Variants = dict[tuple[str, int], dict[str, Variant]]
@@ -39,10 +40,10 @@ def summary(results: Results) -> list[list[object]]:
         test, distance, train = (
             np.array([getattr(c, field)[c.best] for c in curves]) for field in ("test", "distance", "train")
         )
-        rises = [np.mean(np.diff(c.train) > 0.01 * c.train[:-1]) if len(c.train) > 1 else 0.0 for c in curves]
+        rises = restlessness([curve.train for curve in curves])
         spreads = (spread(values) for values in (train, test, distance))
         seconds = np.mean([curve.seconds for curve in curves])
-        rows.append([f"{task}: {method}", *spreads, f"{100 * np.mean(rises):.0f} %", f"{seconds:.2f}"])
+        rows.append([f"{task}: {method}", *spreads, f"{100 * rises:.0f} %", f"{seconds:.2f}"])
     return rows
 
 

@@ -24,3 +24,9 @@ def demonstrations(count: int) -> str:
 def per_seed(values: Sequence[Any] | Array) -> Array:
     """Means (seeds,)."""
     return np.array([np.mean(value) for value in values])
+
+
+def restlessness(losses: Sequence[Array]) -> float:
+    """Share of outer iterations in which the training loss rose by more than 1 %."""
+    rises = [np.mean(np.diff(run) > 0.01 * run[:-1]) for run in losses if len(run) > 1]
+    return float(np.mean(rises)) if rises else 0.0

@@ -10,8 +10,8 @@ import numpy as np
 from kpirl_ocp.episodes import ArmTrack
 from kpirl_ocp.errors import TrainingError
 
-NOISE = 0.5 / 120  # of a detected keypoint: half a pixel of 240 [half an image]
-ENCODERS = 2e-3  # noise of a measured velocity, so that nothing is read from the rounding of a rest [rad/s]
+DETECTION = 0.5 / 120  # noise of a detected keypoint: half a pixel of 240 [half an image]
+_ENCODERS = 2e-3  # noise of a measured velocity, so that nothing is read from the rounding of a rest [rad/s]
 _AT_REST = 0.02  # largest velocity of an arm that rests, also against the shelf [rad/s]
 
 
@@ -50,9 +50,9 @@ def backwards(track: ArmTrack) -> ArmTrack:
 
 def _blurred(track: ArmTrack, rng: np.random.Generator) -> ArmTrack:
     keypoints = track.keypoints.copy()
-    keypoints[..., :2] += rng.normal(0.0, NOISE, keypoints[..., :2].shape)
+    keypoints[..., :2] += rng.normal(0.0, DETECTION, keypoints[..., :2].shape)
     return replace(track, keypoints=keypoints)
 
 
 def _measured(track: ArmTrack, rng: np.random.Generator) -> ArmTrack:
-    return replace(track, velocities=track.velocities + rng.normal(0.0, ENCODERS, track.velocities.shape))
+    return replace(track, velocities=track.velocities + rng.normal(0.0, _ENCODERS, track.velocities.shape))

@@ -17,7 +17,7 @@ import numpy as np
 from kpirl_ocp import OCP, Demonstration, Riccati, Trajectory
 from stress.certificates.case import Case, Truth, weighed
 from stress.certificates.law import Law
-from stress.certificates.loss_kinks import SQUARES, Seen
+from stress.certificates.loss_kinks import Seen, squares
 
 REACH, HOLDS = 0.5e-6, 1e-2  # of a certificate: share of a parameter, and of the terms of a gradient
 
@@ -177,7 +177,7 @@ def dress(family: str, law: Law, rng, scaled: bool, solver=None, seen=None) -> C
     """
     dressed = Dressed(law, rng, Units.draw(rng) if scaled else Units())
     v = np.tile(law.branches[0].v if law.branches else np.zeros(law.n), (dressed.steps, 1))
-    looks = (seen or SQUARES)(rng, dressed.states(v))
+    looks = (seen or squares)(rng, dressed.states(v))
     units = dressed.units
     start = None if law.start is None else dressed.trajectory(np.tile(law.start, (dressed.steps, 1)))
     return Case(

@@ -33,7 +33,7 @@ class Seen:
     in_unit: Callable | None = None
 
 
-def SQUARES(rng, states):
+def squares(rng, states):
     """The state itself, and squares."""
     observations = states + rng.normal(size=states.shape)
     return Seen(

@@ -54,12 +54,11 @@ class Quadratic:
         """Its derivative by psi at fixed U, (n, 2)."""
         return self.G.T @ np.column_stack([-self.targets[1:].ravel(), self.E])
 
-    def tangent(self, active: np.ndarray, right_sides: np.ndarray) -> np.ndarray:
-        """dS/dpsi (T n_s, 2) with active rows C dU = right_sides."""
+    def moves(self, active: np.ndarray, by_psi: np.ndarray) -> np.ndarray:
+        """dU/dpsi (n, 2) with active rows C U + by_psi psi that stay where they are."""
         k, n = len(active), len(self.actions)
         system = np.block([[self.hessian, active.T], [active, np.zeros((k, k))]])
-        moves = np.linalg.solve(system, np.vstack([-self.slope_by_psi, right_sides]))[:n]
-        return self.G @ moves + np.column_stack([np.zeros_like(self.E), self.E])
+        return np.linalg.solve(system, np.vstack([-self.slope_by_psi, -by_psi]))[:n]
 
 
 def constrained(rng, scaled: bool) -> Case:
@@ -82,14 +81,10 @@ def constrained(rng, scaled: bool) -> Case:
     values = np.concatenate([lq.actions, lq.states(lq.actions, lq.psi)])
     limits = np.full(len(values), np.inf)
     limits[: len(slack)] = values[: len(slack)] + slack
-    tangent = lq.tangent(rows[active], -by_psi[active])
-    exists = g != 0 or not np.abs(rows[last] @ _moves(lq, rows[active], by_psi[active]) + by_psi[last]).any()
+    moves = lq.moves(rows[active], by_psi[active])
+    tangent = lq.G @ moves + np.column_stack([np.zeros_like(lq.E), lq.E])  # dS/dpsi (T n_s, 2)
+    exists = g != 0 or not np.abs(rows[last] @ moves + by_psi[last]).any()
     return _case(rng, lq, linear, limits, tangent, exists, abs(g) > DUE, scaled)
-
-
-def _moves(lq, active, by_psi):
-    system = np.block([[lq.hessian, active.T], [active, np.zeros((len(active),) * 2)]])
-    return np.linalg.solve(system, np.vstack([-lq.slope_by_psi, -by_psi]))[: len(lq.actions)]
 
 
 def _independent(rng, rows, count):
