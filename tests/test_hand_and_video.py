@@ -60,6 +60,16 @@ def test_lossless_video_returns_every_sixth_frame_bit_by_bit(tmp_path, film):
     assert [file.name for file in tmp_path.iterdir()] == ["hand.avi"]
 
 
+def test_a_video_that_cannot_be_written_leaves_no_part_of_itself(tmp_path, film):
+    def failing():
+        yield film[0]
+        raise OSError("no space left on device")
+
+    with pytest.raises(FileError, match="no space left"):
+        write_video(tmp_path / "hand.avi", failing(), RATE)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_users_mp4_is_read_with_what_its_compression_left(tmp_path, film):
     path = write_video(tmp_path / "hand.mp4", film, RATE, codec="h264")
     frames = read_demonstration(path)

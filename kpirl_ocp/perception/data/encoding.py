@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
@@ -32,12 +33,12 @@ def write_video(
     part = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
         _encode(part, path, frames, rate, codec, quality)
+        part.replace(path)
     except (OSError, av.error.FFmpegError) as error:
         raise FileError(f"{path} cannot be written as {codec}; does the directory exist? ({error})") from error
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
-    part.replace(path)
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
     return path
 
 

@@ -38,6 +38,7 @@ TERMS = (
     "total",
 )
 _CLIP_NORM = 10.0  # of the gradient, as published
+_SHIFT = 1 / 3  # largest shift of a frame for the equivariance: a sixth of its side [half an image]
 _WINDOW = 50  # steps over which the loss is averaged to see whether it still falls
 _PROGRESS = 0.01  # relative fall of that average that counts
 
@@ -181,9 +182,7 @@ def _step(
     if weights.equivariance:
         half = clips.shape[1] // 2
         frames = clips[:, :half].flatten(0, 1)
-        offset = torch.from_numpy(rng.uniform(-1 / 3, 1 / 3, (len(frames), 2)).astype(np.float32)).to(
-            frames
-        )  # a sixth of the side
+        offset = torch.from_numpy(rng.uniform(-_SHIFT, _SHIFT, (len(frames), 2))).to(frames)
         moved = model.encode(losses.shifted(frames, offset)).keypoints
         terms["equivariance"] = losses.equivariance(moved, keypoints[:, :half].flatten(0, 1), offset)
     total = terms["reconstruction"] + sum(factor * terms[name] for name, factor in asdict(weights).items())

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.perception.detector.autoencoder import STRIDE
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.losses import motion
 from kpirl_ocp.perception.detector.training import resize
@@ -48,7 +49,7 @@ def _something_moves(clip: Frames) -> bool:
 def _on_motion(clip: Frames, track: Array, size: int) -> float:
     """Share of frames and keypoints (n, K, 2) in cells where something moves."""
     small = torch.from_numpy(resize(clip, size)).permute(0, 3, 1, 2)[None].float() / 255
-    cells = size // 4
+    cells = size // STRIDE
     moves = motion(small, cells)[0].numpy() > _MOVING  # (n, cells, cells)
     columns, rows = np.moveaxis(np.clip(((track + 1) / 2 * cells).astype(int), 0, cells - 1), -1, 0)
     return float(moves[np.arange(len(clip))[:, None], rows, columns].mean())

@@ -96,13 +96,13 @@ class _Training(nn.Module):
         self.register_buffer("step_size", torch.zeros((), dtype=torch.float64))
         self.register_buffer("random", torch.get_rng_state())
 
-    def stand(self, schedule: CosineAnnealingLR) -> None:
-        """Take down step size and random numbers."""
+    def store(self, schedule: CosineAnnealingLR) -> None:
+        """Store step size and random numbers in the tensors."""
         self.step_size.fill_(schedule.optimizer.param_groups[0]["lr"])
         self.random.copy_(torch.get_rng_state())
 
-    def go_on(self, schedule: CosineAnnealingLR, epochs: int) -> None:
-        """Bring step size and random numbers to where they stood after so many epochs."""
+    def restore(self, schedule: CosineAnnealingLR, epochs: int) -> None:
+        """Bring the stored step size and random numbers back, after so many epochs."""
         schedule.optimizer.param_groups[0]["lr"], schedule.last_epoch = float(self.step_size), epochs
         torch.set_rng_state(self.random)
 
@@ -138,11 +138,11 @@ def train_dynamics(
     optimiser = torch.optim.AdamW(model.parameters(), settings.step_size, weight_decay=settings.weight_decay)
     schedule = CosineAnnealingLR(optimiser, settings.epochs)
     state = _Training(model)
-    stored = Checkpoint(checkpoint, {"seed": seed, "data": _digest(train, validation), **asdict(settings)})
-    curves = stored.load(state, optimiser, ("train", "validation"))
+    file = Checkpoint(checkpoint, {"seed": seed, "data": _digest(train, validation), **asdict(settings)})
+    curves = file.load(state, optimiser, ("train", "validation"))
     done = len(curves["train"])
     if done:
-        state.go_on(schedule, done)
+        state.restore(schedule, done)
     with tqdm(total=settings.epochs, initial=done, desc="dynamics", unit="epoch") as bar:
         for epoch in range(done, settings.epochs):
             if epoch and _waited(curves) >= settings.patience:
@@ -158,8 +158,8 @@ def train_dynamics(
             if _waited(curves) == 0:
                 state.best.load_state_dict(model.state_dict())
             if (epoch + 1) % 10 == 0 or epoch + 1 == settings.epochs:
-                state.stand(schedule)
-                stored.save(state, optimiser, curves)
+                state.store(schedule)
+                file.save(state, optimiser, curves)
     return state.best.eval(), {name: np.array(values) for name, values in curves.items()}
 
 
