@@ -164,7 +164,7 @@ KKT = _structure(
     barrier=REAL,
     objective=REAL,
     **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "softest"), POINTER),
-    spare=Factors,
+    row_factors=Factors,
     **dict.fromkeys(("origin", "shares", "tangent", "matrices", "work"), POINTER),
     **dict.fromkeys(("lowest", "qualification", "step", "margin", "distance"), REAL),
     **dict.fromkeys(("evaluated", "factored", "immovable", "conditioned", "stepped", "reached", "borrowed"), INT),

@@ -15,8 +15,6 @@
 static const real EXACT = (real)1e-13; /* relative residual at which refinement stops */
 static const real NEARLY = (real)1e-11; /* and that is near enough to it */
 static const real HARDLY = (real)1e-6;  /* change that first derivatives tell from none */
-static const real DIFFERENCE = (real)1e-6; /* step of a difference quotient, as in kpirl_mpc_kinks.c */
-static const real CLOSER = (real)0.1;      /* of two steps the shorter one; what is left of jumps does not shrink with it */
 static const real CURVED = (real)0.1;      /* share of the terms of a slope that may be curvature, ... */
 static const real BENT = (real)1e-3;       /* ... or of the terms that conditions are made of */
 static const real STILL = (real)1e-3;      /* relative move of a plan that hardly moves */
@@ -85,11 +83,11 @@ static void tangent_right(const kpirl_mpc_system *s, const real *left, const rea
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, m = kpirl_mpc_system_n_rows(s);
   int i;
   memset(to->x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
-  for (i = 0; i < n_w; ++i) to->x[i] = (left[i] - right[i]) / (2 * DIFFERENCE);
-  for (i = 0; i < n_c; ++i) to->costates[i] = (left[n_w + i] - right[n_w + i]) / (2 * DIFFERENCE);
+  for (i = 0; i < n_w; ++i) to->x[i] = (left[i] - right[i]) / (2 * KPIRL_MPC_DIFFERENCE);
+  for (i = 0; i < n_c; ++i) to->costates[i] = (left[n_w + i] - right[n_w + i]) / (2 * KPIRL_MPC_DIFFERENCE);
   for (i = s->n_bounds; i < m; ++i) {
     const int j = n_w + n_c + i - s->n_bounds;
-    to->forces[i] = s->active[i] != 0 ? (left[j] - right[j]) / (2 * DIFFERENCE) : 0;
+    to->forces[i] = s->active[i] != 0 ? (left[j] - right[j]) / (2 * KPIRL_MPC_DIFFERENCE) : 0;
   }
 }
 
@@ -132,7 +130,7 @@ static real plan_left(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *tangent, c
 
 real kpirl_mpc_kink_along_plan(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
                                const real *left, const real *at, const real *right, real here, real total, real *work) {
-  const real steps[] = {DIFFERENCE, -DIFFERENCE}, terms = cancelling(k, weights);
+  const real steps[] = {KPIRL_MPC_DIFFERENCE, -KPIRL_MPC_DIFFERENCE}, terms = cancelling(k, weights);
   kpirl_mpc_kkt with = *k;
   kpirl_mpc_triple of_tangent, tangent;
   real *values = work, worst = 0;
@@ -145,14 +143,14 @@ real kpirl_mpc_kink_along_plan(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, con
   memcpy(k->tangent, tangent.x, (size_t)kpirl_mpc_system_n_point(&k->system) * sizeof(real));
   for (i = 0; i < 2; ++i) {
     const real far = slope_left(k, core, weights, moves, &tangent, here, steps[i], values, work);
-    real whole = kpirl_mpc_worse(kpirl_mpc_worse(total, kpirl_mpc_abs(far)), ROUNDING * terms / DIFFERENCE);
+    real whole = kpirl_mpc_worse(kpirl_mpc_worse(total, kpirl_mpc_abs(far)), ROUNDING * terms / KPIRL_MPC_DIFFERENCE);
     real off = kpirl_mpc_abs(far);
     const real turned = plan_left(k, &tangent, at, values, &of_tangent);
     if (!(turned <= CURVED)) return kpirl_mpc_worse(worst, turned);
     if (off > KPIRL_MPC_NO_KINK * whole && off <= CURVED * total + BENT * terms) {
-      const real near = slope_left(k, core, weights, moves, &tangent, here, CLOSER * steps[i], values, work);
-      whole = kpirl_mpc_worse(whole, ROUNDING * terms / (CLOSER * DIFFERENCE));
-      off = kpirl_mpc_abs(near - CLOSER * far) / (1 - CLOSER);
+      const real near = slope_left(k, core, weights, moves, &tangent, here, KPIRL_MPC_CLOSER * steps[i], values, work);
+      whole = kpirl_mpc_worse(whole, ROUNDING * terms / (KPIRL_MPC_CLOSER * KPIRL_MPC_DIFFERENCE));
+      off = kpirl_mpc_abs(near - KPIRL_MPC_CLOSER * far) / (1 - KPIRL_MPC_CLOSER);
     }
     worst = kpirl_mpc_worse(worst, whole > 0 ? off / whole : 0);
   }

@@ -6,12 +6,9 @@
 
 #include <string.h>
 
-static const real DIFFERENCE = (real)1e-6; /* step of a difference quotient, as in kpirl_mpc_kinks.c */
-static const real CLOSER = (real)0.1;      /* of steps; jumps do not shrink with it */
 static const real ROUNDING = (real)1e-12;  /* of the conditions, relative, with a margin by which kinks are told from it */
 static const real SMOOTH = (real)1e-4;     /* a relative difference of derivatives that is no kink */
 static const real SMALL = (real)1e-3;      /* share of the largest parameter that the others move by at least */
-static const real FLOOR = (real)1e-9;      /* share of the whole gradient below which one of its entries may be rounding */
 
 /* The largest relative jump at 0 of `count` functions of a step, from their values at steps 0, +h, -h, +h/10 and -h/10, one after
  * the other; those much smaller than `whole` may be rounding. */
@@ -20,9 +17,10 @@ static real jump_of(const real *values, int count, real whole) {
   int i;
   for (i = 0; i < count; ++i) {
     const real here = values[i], *far = values + count + i, *near = far + 2 * count;
-    const real left_over = kpirl_mpc_abs(near[0] - near[count] - CLOSER * (far[0] - far[count])) / (1 - CLOSER);
+    const real left_over =
+        kpirl_mpc_abs(near[0] - near[count] - KPIRL_MPC_CLOSER * (far[0] - far[count])) / (1 - KPIRL_MPC_CLOSER);
     const real all[5] = {here, far[0], far[count], near[0], near[count]};
-    const real size = kpirl_mpc_larger(kpirl_mpc_largest(all, 5), FLOOR * whole);
+    const real size = kpirl_mpc_larger(kpirl_mpc_largest(all, 5), KPIRL_MPC_FLOOR * whole);
     worst = kpirl_mpc_worse(worst, kpirl_mpc_over(left_over, size));
   }
   return worst;
@@ -99,7 +97,7 @@ real kpirl_mpc_moved_weighted_sum(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, 
   return kpirl_mpc_weighted_sum(s, weights, values, &ignored);
 }
 
-/* And where they are not. */
+/* The same where they have not moved, with the sizes. */
 static real weighted_here(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, real *sizes, real *work) {
   if (k->evaluated)
     kpirl_mpc_known_conditions(k, work);
@@ -129,7 +127,7 @@ static real difference(const real *values, int count, real whole) {
   int i;
   for (i = 0; i < count; ++i) {
     const real all[3] = {values[i], values[count + i], values[2 * count + i]};
-    const real size = kpirl_mpc_larger(kpirl_mpc_largest(all, 3), FLOOR * whole);
+    const real size = kpirl_mpc_larger(kpirl_mpc_largest(all, 3), KPIRL_MPC_FLOOR * whole);
     worst = kpirl_mpc_worse(worst, kpirl_mpc_over(kpirl_mpc_abs(all[1] - all[2]), size));
   }
   return worst;
@@ -138,7 +136,7 @@ static real difference(const real *values, int count, real whole) {
 /* The relative jump of the derivatives by psi and the context; at steps 0, +h, -h, and where these differ +h/10 and -h/10. */
 static real slope_jump(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *function, const kpirl_mpc_triple *weights,
                        const kpirl_mpc_by_parameters *by, const real *moves, real whole, real *work) {
-  static const real steps[] = {1, -1, (real)0.1, (real)-0.1};
+  const real steps[] = {1, -1, KPIRL_MPC_CLOSER, -KPIRL_MPC_CLOSER};
   const int n_psi = k->dimensions.n_parameters, n_context = k->dimensions.n_context, n = n_psi + n_context;
   real *slopes = work, *rest = slopes + 5 * n;
   int i, j, failed = 0;
@@ -146,7 +144,7 @@ static real slope_jump(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *functio
   for (i = 0; i < n_psi; ++i) slopes[i] = by->psi[i] * moves[i];
   for (i = 0; i < n_context; ++i) slopes[n_psi + i] = by->context[i] * moves[n_psi + k->system.n_states + i];
   for (j = 0; j < 4; ++j) {
-    failed |= weighted_slopes(k, function, weights, moves, steps[j] * DIFFERENCE, slopes + (j + 1) * n, rest);
+    failed |= weighted_slopes(k, function, weights, moves, steps[j] * KPIRL_MPC_DIFFERENCE, slopes + (j + 1) * n, rest);
     if (failed) return (real)INFINITY;
     if (j == 1 && difference(slopes, n, whole) <= SMOOTH) return difference(slopes, n, whole);
   }
@@ -175,12 +173,12 @@ real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, 
     expected += slope * moves[i];
     total += kpirl_mpc_abs(slope * moves[i]);
   }
-  sides[0] = kpirl_mpc_moved_weighted_sum(k, core, weights, moves, -DIFFERENCE, left, work);
+  sides[0] = kpirl_mpc_moved_weighted_sum(k, core, weights, moves, -KPIRL_MPC_DIFFERENCE, left, work);
   here = weighted_here(k, core, weights, &sizes, at);
-  sides[1] = kpirl_mpc_moved_weighted_sum(k, core, weights, moves, DIFFERENCE, right, work);
-  sides[0] = (here - sides[0]) / DIFFERENCE;
-  sides[1] = (sides[1] - here) / DIFFERENCE;
-  noise = ROUNDING * sizes / DIFFERENCE;
+  sides[1] = kpirl_mpc_moved_weighted_sum(k, core, weights, moves, KPIRL_MPC_DIFFERENCE, right, work);
+  sides[0] = (here - sides[0]) / KPIRL_MPC_DIFFERENCE;
+  sides[1] = (sides[1] - here) / KPIRL_MPC_DIFFERENCE;
+  noise = ROUNDING * sizes / KPIRL_MPC_DIFFERENCE;
   whole = kpirl_mpc_worse(kpirl_mpc_worse(total, noise), kpirl_mpc_worse(kpirl_mpc_abs(sides[0]), kpirl_mpc_abs(sides[1])));
   off = kpirl_mpc_worse(kpirl_mpc_abs(sides[0] - expected), kpirl_mpc_abs(sides[1] - expected));
   if (k->factored && !(k->barrier > 0))
@@ -237,7 +235,7 @@ static void find_move(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows *rows
 
 real kpirl_mpc_kink_of_loss(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows *rows, const kpirl_mpc_loss *loss,
                             const real *data, const real *x, const real *along, real *value, real *slopes, real *work) {
-  static const real steps[] = {0, 1, -1, (real)0.1, (real)-0.1};
+  const real steps[] = {0, 1, -1, KPIRL_MPC_CLOSER, -KPIRL_MPC_CLOSER};
   const int n_w = of->horizon * (of->n_states + of->n_actions) + of->n_states;
   real values[5], *move = work, *moved = move + n_w, *own = moved + 5 * n_w, sides[2], expected, bend = 0, whole, off;
   int i, j, failed = 0;
@@ -246,14 +244,15 @@ real kpirl_mpc_kink_of_loss(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows
   else
     find_move(of, rows, x, move);
   for (j = 0; j < 5; ++j)
-    failed |= evaluate(of, loss, data, x, move, steps[j] * DIFFERENCE, values + j, moved + j * n_w, own);
+    failed |= evaluate(of, loss, data, x, move, steps[j] * KPIRL_MPC_DIFFERENCE, values + j, moved + j * n_w, own);
   *value = values[0];
   memcpy(slopes, moved, (size_t)n_w * sizeof(real));
   expected = kpirl_mpc_dot(slopes, move, n_w);
   for (i = 0; i < n_w; ++i) bend += kpirl_mpc_abs((moved[n_w + i] - moved[2 * n_w + i]) * move[i]);
-  sides[0] = kpirl_mpc_abs((values[1] - values[0]) / DIFFERENCE - expected);
-  sides[1] = kpirl_mpc_abs((values[0] - values[2]) / DIFFERENCE - expected);
-  whole = kpirl_mpc_worse(kpirl_mpc_worse(kpirl_mpc_absolute_dot(slopes, move, n_w), bend), ROUNDING * kpirl_mpc_abs(values[0]) / DIFFERENCE);
+  sides[0] = kpirl_mpc_abs((values[1] - values[0]) / KPIRL_MPC_DIFFERENCE - expected);
+  sides[1] = kpirl_mpc_abs((values[0] - values[2]) / KPIRL_MPC_DIFFERENCE - expected);
+  whole = kpirl_mpc_worse(kpirl_mpc_worse(kpirl_mpc_absolute_dot(slopes, move, n_w), bend),
+                          ROUNDING * kpirl_mpc_abs(values[0]) / KPIRL_MPC_DIFFERENCE);
   off = kpirl_mpc_larger(kpirl_mpc_worse(sides[0], sides[1]) - bend, 0);
   for (j = 0; j < 5; ++j)
     for (i = 0; i < n_w; ++i) moved[j * n_w + i] *= kpirl_mpc_abs(move[i]);

@@ -6,10 +6,7 @@
 
 #include <string.h>
 
-static const real DIFFERENCE = (real)1e-6; /* step of a difference quotient, relative: truncation 1e-12, rounding 1e-10 */
 static const real WIDE = (real)1e-4;       /* over which most problems look straight */
-static const real CLOSER = (real)0.1;      /* of two steps the shorter one; jumps do not shrink with it */
-static const real FLOOR = (real)1e-9;      /* share of the whole gradient below which one of its entries may be rounding */
 
 int kpirl_mpc_n_conditions(const kpirl_mpc_system *s) {
   return kpirl_mpc_system_n_point(s) + s->horizon * s->n_states + kpirl_mpc_system_n_rows(s) - s->n_bounds;
@@ -21,22 +18,14 @@ static real lagrangian_of(const kpirl_mpc_kkt *k, real objective, const real *de
   return objective + kpirl_mpc_dot(k->point.costates, defects, n_c) + kpirl_mpc_dot(k->point.forces + s->n_bounds, rows, m);
 }
 
-/* A point as the core takes it. */
-static kpirl_mpc_start start_at(const kpirl_mpc_system *s, const kpirl_mpc_triple *point) {
-  kpirl_mpc_start at = {0};
-  at.x = point->x;
-  at.costates = point->costates;
-  at.path = point->forces + s->n_bounds;
-  at.equality = at.path + s->horizon * s->n_path + s->n_terminal;
-  return at;
-}
+
 
 real kpirl_mpc_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers,
                           const kpirl_mpc_triple *point, real *values) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n_path = s->horizon * s->n_path + s->n_terminal;
   const int n = kpirl_mpc_n_conditions(s);
-  const kpirl_mpc_start at = start_at(s, point);
+  const kpirl_mpc_start at = kpirl_mpc_start_at(s, point);
   kpirl_mpc_view view;
   const int failed = kpirl_mpc_core_evaluate_at(core, numbers, &at, KPIRL_MPC_FIRST);
   int i;
@@ -53,7 +42,7 @@ void kpirl_mpc_start_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, co
                                 const kpirl_mpc_triple *point, real *values) {
   const kpirl_mpc_system *s = &k->system;
   const int n_s = s->n_states, n_x = n_s + s->n_actions;
-  const kpirl_mpc_start at = start_at(s, point);
+  const kpirl_mpc_start at = kpirl_mpc_start_at(s, point);
   real *defects = values + kpirl_mpc_system_n_point(s), *path = defects + s->horizon * n_s;
   real *equality = path + s->horizon * s->n_path + s->n_terminal;
   kpirl_mpc_view view;
@@ -115,7 +104,9 @@ static real disagreement(const real *left, const real *here, const real *right, 
     off_right += (after - known) * (after - known);
     off_left += (before - known) * (before - known);
   }
-  if (relative) whole = kpirl_mpc_root(kpirl_mpc_worse(kpirl_mpc_worse(kpirl_mpc_worse(to_right, to_left), expected), whole * whole));
+  if (relative)
+    whole = kpirl_mpc_root(
+        kpirl_mpc_worse(kpirl_mpc_worse(kpirl_mpc_worse(to_right, to_left), expected), whole * whole));
   return kpirl_mpc_over(kpirl_mpc_root(kpirl_mpc_worse(off_right, off_left)), whole);
 }
 
@@ -134,7 +125,8 @@ static real value_jump(const kpirl_mpc_kkt *k, const real *L, const real *left, 
   for (i = 0; i < s->horizon * n_s; ++i)
     terms += kpirl_mpc_abs(k->point.costates[i] * s->sizes[(i / n_s + 1) * n_x + i % n_s]);
   off = kpirl_mpc_worse(kpirl_mpc_abs(L[2] - L[1] - slope), kpirl_mpc_abs(L[1] - L[0] - slope)) - bend;
-  return kpirl_mpc_over(kpirl_mpc_larger(off, 0), kpirl_mpc_worse(kpirl_mpc_worse(bend, kpirl_mpc_abs(slope)), FLOOR * terms));
+  return kpirl_mpc_over(kpirl_mpc_larger(off, 0),
+                        kpirl_mpc_worse(kpirl_mpc_worse(bend, kpirl_mpc_abs(slope)), KPIRL_MPC_FLOOR * terms));
 }
 
 /* ---- a search ---------------------------------------------------------------------------------------------------- */
@@ -203,7 +195,7 @@ static real kink(const kpirl_mpc_kkt *k, const search *at) {
   real own = 0, worst;
   int i;
   for (i = 0; i < n_w; ++i) {
-    const real share = FLOOR * k->curvature[i] * move[i] * s->sizes[i];
+    const real share = KPIRL_MPC_FLOOR * k->curvature[i] * move[i] * s->sizes[i];
     own += share * share;
   }
   worst = disagreement(left, here, right, slope, units, n_w, kpirl_mpc_root(own), 1);
@@ -217,7 +209,7 @@ static real kink(const kpirl_mpc_kkt *k, const search *at) {
  * entries of x than the longest of the move may be. */
 static real over_length(real error) {
   const real wide = kpirl_mpc_larger(10 * error, kpirl_mpc_smaller(100 * error, WIDE));
-  return kpirl_mpc_larger(DIFFERENCE, wide);
+  return kpirl_mpc_larger(KPIRL_MPC_DIFFERENCE, wide);
 }
 
 /* By the conditions `here`, whose Lagrangian is known. */
@@ -226,7 +218,7 @@ static real kink_from(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *
   const real size = largest_share(s, direction);
   real error = (real)INFINITY, length = over_length(k->step);
   int j;
-  for (j = length > DIFFERENCE; j < 2 && !(error <= KPIRL_MPC_NO_KINK); ++j, length *= CLOSER) {
+  for (j = length > KPIRL_MPC_DIFFERENCE; j < 2 && !(error <= KPIRL_MPC_NO_KINK); ++j, length *= KPIRL_MPC_CLOSER) {
     set_move(s, length / size, direction, kpirl_mpc_system_n_point(s), at);
     find_sides(k, core, &k->point, at);
     error = kpirl_mpc_smaller(error, kink(k, at));

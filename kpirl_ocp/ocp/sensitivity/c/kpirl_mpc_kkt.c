@@ -78,7 +78,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
   s->stiffness = take(&from, m);
   s->scratch = take(&from, (size_t)kpirl_mpc_system_scratch(s));
   take_factors(&from, s, &s->factors);
-  take_factors(&from, s, &k->spare);
+  take_factors(&from, s, &k->row_factors);
   take_triple(&from, s, &k->point);
   take_triple(&from, s, &k->adjoint);
   take_triple(&from, s, &k->move);
@@ -110,6 +110,12 @@ static const real *take_hessian(const kpirl_mpc_system *s, const real *lower, re
   return place;
 }
 
+static void bound_slack(const kpirl_mpc_kkt *k, real *slack) {
+  const kpirl_mpc_system *s = &k->system;
+  int i;
+  for (i = 0; i < s->n_bounds; ++i) slack[i] = s->signs[i] * (k->rows->limits[i] - k->point.x[s->entries[i]]);
+}
+
 static void take_values(kpirl_mpc_kkt *k, const kpirl_mpc_view *from) {
   const kpirl_mpc_system *s = &k->system;
   const int n_path = s->horizon * s->n_path + s->n_terminal, m = kpirl_mpc_system_n_rows(s);
@@ -117,7 +123,7 @@ static void take_values(kpirl_mpc_kkt *k, const kpirl_mpc_view *from) {
   k->objective = from->objective;
   memcpy(k->gradient, from->gradient, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
   memcpy(k->defects, from->defects, (size_t)(s->horizon * s->n_states) * sizeof(real));
-  for (i = 0; i < s->n_bounds; ++i) k->slack[i] = s->signs[i] * (k->rows->limits[i] - k->point.x[s->entries[i]]);
+  bound_slack(k, k->slack);
   for (i = 0; i < n_path; ++i) k->slack[s->n_bounds + i] = -from->path[i];
   for (i = s->n_bounds + n_path; i < m; ++i) k->slack[i] = -from->equality[i - s->n_bounds - n_path];
   k->evaluated = 1;
@@ -141,20 +147,23 @@ static const real *keep(const real *from, size_t count, int failed, real **place
   return kept;
 }
 
+kpirl_mpc_start kpirl_mpc_start_at(const kpirl_mpc_system *s, const kpirl_mpc_triple *point) {
+  kpirl_mpc_start at = {0};
+  at.x = point->x;
+  at.costates = point->costates;
+  at.path = point->forces + s->n_bounds;
+  at.equality = at.path + s->horizon * s->n_path + s->n_terminal;
+  return at;
+}
+
 void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
   kpirl_mpc_system *s = &k->system;
   const size_t T = (size_t)s->horizon, n_s = (size_t)s->n_states, n_x = n_s + (size_t)s->n_actions;
   const size_t n_h = (size_t)s->n_path, n_e = (size_t)s->n_equality;
-  const int n_path = s->horizon * s->n_path + s->n_terminal;
-  kpirl_mpc_start at = {0};
+  const kpirl_mpc_start at = kpirl_mpc_start_at(s, &k->point);
   kpirl_mpc_view view;
   real *place = k->matrices, *hessian;
-  int failed;
-  at.x = k->point.x;
-  at.costates = k->point.costates;
-  at.path = k->point.forces + s->n_bounds;
-  at.equality = at.path + n_path;
-  failed = kpirl_mpc_core_evaluate_at(core, &k->numbers, &at, KPIRL_MPC_SECOND);
+  const int failed = kpirl_mpc_core_evaluate_at(core, &k->numbers, &at, KPIRL_MPC_SECOND);
   kpirl_mpc_core_view(core, &view);
   take_values(k, &view);
   s->F = keep(view.F, T * n_s * n_x, failed, &place);
@@ -250,7 +259,7 @@ static void by_stage(const kpirl_mpc_system *s, const real *states, const real *
 static void find_bound_forces(kpirl_mpc_kkt *k, const real *net, real *slack) {
   const kpirl_mpc_system *s = &k->system;
   int i;
-  for (i = 0; i < s->n_bounds; ++i) slack[i] = s->signs[i] * (k->rows->limits[i] - k->point.x[s->entries[i]]);
+  bound_slack(k, slack);
   for (i = 0; i < s->n_bounds; ++i) {
     const int other = k->rows->other[i], twice = other != i;
     const real own = s->signs[i] * net[s->entries[i]];

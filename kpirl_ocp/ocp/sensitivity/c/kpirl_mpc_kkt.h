@@ -66,7 +66,7 @@ typedef struct kpirl_mpc_kkt {
   real *curvature;          /* (n_w) kpirl_mpc_system_curvature */
   real *row_sizes;          /* (m) */
   real *softest;            /* (n_w) direction of the smallest eigenvalue of the reduced Hessian */
-  kpirl_mpc_factors spare;    /* of another matrix */
+  kpirl_mpc_factors row_factors; /* of the products of the active rows, for `qualification` */
   real *origin;               /* (n_w) x before it was polished */
   real *shares;               /* (m) kpirl_mpc_force_shares */
   real *tangent;              /* (n_w) change of x as parameters move in kpirl_mpc_kink_in_parameters; zero until it is known */
@@ -109,6 +109,9 @@ void kpirl_mpc_kkt_set_solution(kpirl_mpc_kkt *kkt, const real *solution);
  * e and e_T. */
 void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core);
 void kpirl_mpc_kkt_set_derivatives(kpirl_mpc_kkt *kkt, const kpirl_mpc_view *derivatives);
+
+/* A point as a core takes it. */
+kpirl_mpc_start kpirl_mpc_start_at(const kpirl_mpc_system *system, const kpirl_mpc_triple *point);
 
 /* Sizes, stiffness of smoothed rows, active rows (where `active` is NULL those that the point suggests), forces and roots. Returns
  * whether all is finite. */
@@ -160,7 +163,10 @@ void kpirl_mpc_start_conditions(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, 
 
 /* Relative disagreement of the conditions, differenced to either side along x (n_w), with their derivatives. */
 real kpirl_mpc_kink_along(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const real *direction);
-static const real KPIRL_MPC_NO_KINK = (real)1e-3; /* disagreement above which a shorter move is tried, too */
+static const real KPIRL_MPC_DIFFERENCE = (real)1e-6; /* step of a difference quotient, relative: truncation 1e-12, rounding 1e-10 */
+static const real KPIRL_MPC_CLOSER = (real)0.1;      /* of two steps the shorter one; jumps do not shrink with it */
+static const real KPIRL_MPC_FLOOR = (real)1e-9;      /* share of a whole gradient below which one of its entries may be rounding */
+static const real KPIRL_MPC_NO_KINK = (real)1e-3;    /* disagreement above which a shorter move is tried, too */
 
 /* The same along an adjoint, its multipliers included, at the point nearby, and by differences the residual that the adjoint has in
  * the system there. Without a barrier. */

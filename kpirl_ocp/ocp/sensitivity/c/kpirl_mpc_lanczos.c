@@ -6,8 +6,13 @@
 
 #include <string.h>
 
-enum { MOST = KPIRL_MPC_PRODUCTS, FEW = 3, SWEEPS = 8, STARTS = 4 };
-static const real DIGITS = (real)0.1;  /* relative distance from some eigenvalue at which to stop */
+enum {
+  MOST = KPIRL_MPC_PRODUCTS,
+  FEW = 3,    /* products before it is worth looking */
+  SWEEPS = 8, /* of Jacobi's method, which converges quadratically: a matrix of MOST rows is diagonal to rounding after fewer */
+  STARTS = 4  /* of the method, each with the vector that the one before found */
+};
+static const real DIGITS = (real)0.1; /* relative distance from some eigenvalue at which to stop */
 
 /* A rotation that turns A[p][q] to zero, A -> J' A J, V -> V J. */
 static void rotate(int n, real A[MOST][MOST], real V[MOST][MOST], int p, int q) {
@@ -59,6 +64,7 @@ static real ritz(int count, real A[MOST][MOST], real after, int which, real *coo
   return own[best][best];
 }
 
+/* Is the value known to DIGITS, with the sign that is asked for? What is not finite gets no better. */
 static int known(real value, real error, int which) {
   return !isfinite(value) || (value * which > 0 && error <= DIGITS * kpirl_mpc_abs(value));
 }

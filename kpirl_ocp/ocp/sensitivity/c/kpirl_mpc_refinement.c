@@ -128,7 +128,8 @@ static real error_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, c
   real gradient = gradient_norm(s, right->x), decisions = kpirl_mpc_decision_norm(s, point->x), x, parts[3];
   if (gaps > 0 || values > 0) gradient = kpirl_mpc_larger(gradient, successor_norm(s, point->costates, 0));
   decisions = kpirl_mpc_larger(kpirl_mpc_larger(decisions, least), values);
-  x = kpirl_mpc_larger(kpirl_mpc_larger(kpirl_mpc_point_norm(s, point->x), gaps), kpirl_mpc_over(least, kpirl_mpc_decision_norm(s, s->sizes)));
+  x = kpirl_mpc_larger(kpirl_mpc_larger(kpirl_mpc_point_norm(s, point->x), gaps),
+                       kpirl_mpc_over(least, kpirl_mpc_decision_norm(s, s->sizes)));
   parts[0] = kpirl_mpc_over(gradient_norm(s, residual->x), gradient);
   parts[1] = kpirl_mpc_over(successor_norm(s, residual->costates, 1), x);
   parts[2] = kpirl_mpc_over(row_norm(s, residual->forces), decisions);

@@ -50,7 +50,7 @@ static real find_qualification(kpirl_mpc_kkt *k, int n_active) {
   if (!n_active) return (real)INFINITY;
   if (k->immovable || n_active > k->system.n_decisions) return 0;
   if (kpirl_mpc_system_other_rows(&k->system) <= KPIRL_MPC_FEW) return kpirl_mpc_system_few_rows(&k->system, k->rows->normal);
-  other.factors = k->spare;
+  other.factors = k->row_factors;
   return kpirl_mpc_system_qualification(&other, k->rows->normal);
 }
 
@@ -126,11 +126,7 @@ static void after_step(const kpirl_mpc_kkt *k, kpirl_mpc_triple *to) {
 
 /* ---- polish -------------------------------------------------------------------------------------------------------- */
 
-static void copy_point(const kpirl_mpc_system *s, const kpirl_mpc_triple *from, kpirl_mpc_triple *to) {
-  memcpy(to->x, from->x, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
-  memcpy(to->costates, from->costates, (size_t)(s->horizon * s->n_states) * sizeof(real));
-  memcpy(to->forces, from->forces, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
-}
+
 
 /* Are all inequalities that have a barrier still on their side of it? */
 static int inside(const kpirl_mpc_kkt *k) {
@@ -155,14 +151,14 @@ static int follow_step(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
   const real step = k->step;
   kpirl_mpc_triple *before = &k->adjoint; /* of which none is known yet */
   int shorter = 0;
-  copy_point(&k->system, &k->point, before);
+  kpirl_mpc_copy_triple(&k->system, &k->point, before);
   after_step(k, &k->point);
   if (stand_again(k, core, step <= SHORT)) {
     kpirl_mpc_kkt_step(k);
     shorter = k->step <= SHORTER * step;
   }
   if (!shorter) {
-    copy_point(&k->system, before, &k->point);
+    kpirl_mpc_copy_triple(&k->system, before, &k->point);
     stand_again(k, core, 0);
     kpirl_mpc_kkt_step(k);
   }
