@@ -16,6 +16,7 @@ import numpy as np
 
 from bench.part import Numbers, Part, Table
 from bench.problem import random_network
+from bench.real_time import BARRIER, NOISE, RADIUS, moving_goal
 from bench.settings import Preset
 from kpirl_ocp import Ipopt, Riccati, Solution
 from kpirl_ocp.irl.cases.network_cases import N_Z, NetworkCase, placing_case
@@ -24,14 +25,13 @@ from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.solvers.sqp import SQP
 
-BARRIER = 1e-2
 REAL_TIME, CONVERGED = "real-time iteration", "converged to 1e-8"
 SOLVERS = {REAL_TIME: Riccati(steps=1, barrier=BARRIER), CONVERGED: Riccati(1e-8)}
 SETTINGS = {REAL_TIME: ("1", str(BARRIER), "1e-8"), CONVERGED: ("0", "0", "1e-8")}  # steps, barrier, tolerance
 FLOAT, NATIVELY = "native, single precision", "native"
 SEQUENTIAL = "sqpmethod and qrqp, once"
 BUILDS = {"portable": EXPORT_FLAGS, NATIVELY: EXPORT_FLAGS_NATIVE, FLOAT: (*EXPORT_FLAGS_NATIVE, "-DKPIRL_MPC_FLOAT")}
-_NOISE, _RADIUS, _PERIOD = 1e-3, 0.03, 50
+
 _FEWER = 10  # so many times fewer steps that converge
 _SLOW = 5  # steps of Ipopt, which takes a hundred times as long
 
@@ -89,7 +89,7 @@ def _exported(data: NetworkCase, builds: dict[str, tuple[str, ...]], steps: int)
                 if build == FLOAT and form == CONVERGED:
                     continue  # 1e-8 is out of reach
                 count = steps if form == REAL_TIME else max(steps // _FEWER, 1)
-                command = [str(program), str(count), str(_NOISE), str(_RADIUS), *settings]
+                command = [str(program), str(count), str(NOISE), str(RADIUS), *settings]
                 output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
                 found[f"C, {form}, {build}"] = json.loads(output) | compiled
     return found
@@ -133,14 +133,13 @@ def _closed_loop(data: NetworkCase, solver: Solver, steps: int, warm: bool = Tru
     if warm:
         solver.solve(data.bounded, state, psi, data.goal[0], plan)  # builds and compiles
     for step in range(steps):
-        angle = 2 * np.pi * step / _PERIOD
-        goal = data.goal[0] + _RADIUS * np.tile([np.cos(angle), np.sin(angle)], N_Z // 2)
+        goal = moving_goal(data, step)
         started = time.perf_counter()
         plan = solver.solve(data.bounded, state, psi, goal, plan)
         spent.append(1e3 * (time.perf_counter() - started))
         iterations.append(plan.iterations)
         state = np.array(data.bounded.transition(state, plan.actions[0], psi)).ravel()
-        state[:N_Z] += _NOISE * rng.uniform(-1, 1, N_Z)
+        state[:N_Z] += NOISE * rng.uniform(-1, 1, N_Z)
     median, high = np.percentile(spent, [50, 99])
     times = {"median_ms": float(median), "minimum_ms": min(spent), "p99_ms": float(high), "worst_ms": max(spent)}
     return times | {"iterations": float(np.mean(iterations)), "steps": steps}

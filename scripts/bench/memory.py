@@ -13,12 +13,12 @@ from concurrent.futures import ProcessPoolExecutor
 from bench.contenders import NOT_INSTALLED, find
 from bench.part import Numbers, Part, Table
 from bench.problem import random_network
+from bench.real_time import BARRIER
 from bench.settings import Preset
 from kpirl_ocp import GradientDescent, Implicit, Riccati, Unrolled
 from kpirl_ocp.irl.learning.comparison import peak_memory, reset_peak_memory
 
 UNROLLED, CHECKPOINTS, IMPLICIT = "Unrolled", "Unrolled, checkpoints", "Implicit(Riccati)"
-_BARRIER = 1e-2
 
 
 def measure(preset: Preset) -> Part:
@@ -75,9 +75,9 @@ def _iterations(preset: Preset, method: str, count: int) -> float:
     demonstration, psi = data.demonstrations[0], data.psi.ravel()
     before = reset_peak_memory()
     if method == IMPLICIT:  # the steps go on at the solution
-        problem, solver = data.bounded, Riccati(barrier=_BARRIER)
+        problem, solver = data.bounded, Riccati(barrier=BARRIER)
         guess = solver.solve(problem, demonstration.s0, psi, demonstration.context)
-        implicit = Implicit(Riccati(steps=count, barrier=_BARRIER), policy="flag")
+        implicit = Implicit(Riccati(steps=count, barrier=BARRIER), policy="flag")
         implicit(problem, demonstration, psi, guess)
     else:
         solver = GradientDescent(count, data.step_size * min(1.0, 20 / count))

@@ -17,8 +17,9 @@ from kpirl_ocp.irl.cases.network_cases import N_Z, NetworkCase
 from kpirl_ocp.types import Array
 
 BARRIER = 1e-2  # tau; with 1e-4 single steps creep along the bounds, and the loop does not follow the goal
-_NOISE = 1e-3  # of a keypoint coordinate and step
-_RADIUS, _PERIOD = 0.03, 50  # of the goal's motion, in image units and control steps
+NOISE = 1e-3  # of a keypoint coordinate and step
+RADIUS = 0.03  # of the goal's circle [image units]
+_PERIOD = 50  # of the goal [control steps]
 PUBLIC, CONVERGED = "Riccati(steps=1)", "solved to 1e-8 at every step"
 Controller = Callable[[Array, Array], Array]
 """State (n_s,) and goal (n_z,) -> action (n_u,)."""
@@ -40,17 +41,22 @@ def measure(preset: Preset) -> Part:
     return Part(numbers, [Table(title, header, rows, note)])
 
 
+def moving_goal(data: NetworkCase, step: int) -> Array:
+    """z_goal (n_z,) at a control step, on a circle beside the goal of the data."""
+    angle = 2 * np.pi * step / _PERIOD
+    return data.goal[0] + RADIUS * np.tile([np.cos(angle), np.sin(angle)], N_Z // 2)
+
+
 def _closed_loop(data: NetworkCase, controller: Controller, steps: int) -> tuple[Timing, float]:
     """Times of the controller, and how well it keeps the keypoints at the goal."""
     rng, state = np.random.default_rng(0), data.s0[0]
     spent, errors, actions = [], [], []
     for step in range(steps):
-        angle = 2 * np.pi * step / _PERIOD
-        goal = data.goal[0] + _RADIUS * np.tile([np.cos(angle), np.sin(angle)], N_Z // 2)
+        goal = moving_goal(data, step)
         spent.append(seconds(lambda state=state, goal=goal: actions.append(controller(state, goal))))
         action = actions.pop()
         state = np.array(data.bounded.transition(state, action, data.psi.ravel())).ravel()
-        state[:N_Z] += _NOISE * rng.normal(size=N_Z)
+        state[:N_Z] += NOISE * rng.normal(size=N_Z)
         errors.append(float(np.sum((state[:N_Z] - goal) ** 2)))
     return Timing.of(spent), float(np.mean(errors))
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 class Profile:
     """cases: of the contest; peers take every `every`-th of them, other methods `others`.
 
-    kills: of each program. solves, problems: in one process. statuses: random problems.
+    kills: of each program; every_program: also of those that take long.
+    solves, problems: in one process. statuses: random problems.
     starts: noisy ones of each system.
     """
 
@@ -15,6 +16,7 @@ class Profile:
     every: int
     others: int
     kills: int
+    every_program: bool
     solves: int
     problems: int
     statuses: int
@@ -22,8 +24,26 @@ class Profile:
 
 
 PROFILES = {
-    "quick": Profile(cases=300, every=10, others=20, kills=2, solves=1_000, problems=30, statuses=30, starts=1),
+    "quick": Profile(
+        cases=300,
+        every=10,
+        others=20,
+        kills=2,
+        every_program=False,
+        solves=1_000,
+        problems=30,
+        statuses=30,
+        starts=1,
+    ),
     "full": Profile(
-        cases=10_000, every=5, others=1_000, kills=20, solves=100_000, problems=1_000, statuses=1_000, starts=20
+        cases=10_000,
+        every=5,
+        others=1_000,
+        kills=20,
+        every_program=True,
+        solves=100_000,
+        problems=1_000,
+        statuses=1_000,
+        starts=20,
     ),
 }

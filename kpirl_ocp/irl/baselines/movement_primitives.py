@@ -17,6 +17,7 @@ from kpirl_ocp.types import Array
 
 _DECAY = 4.0  # alpha: x falls to 0.02 within one duration
 _STIFFNESS = 150.0  # K, per squared duration
+_SUBSTEPS = 20  # of the integration, per step of the path
 _RANK = 1e-8  # singular values below this share of the largest are of kernels that the samples do not tell apart
 
 
@@ -46,17 +47,17 @@ class MovementPrimitive:
         weights, *_ = np.linalg.lstsq(np.vstack(rows), np.vstack(forces), rcond=_RANK)
         return cls(weights)
 
-    def run(self, start: Array, goal: Array, steps: int, substeps: int = 20) -> Array:
+    def run(self, start: Array, goal: Array, steps: int) -> Array:
         """The path (steps + 1, n) from start at rest towards goal, in one unit of time, by semi-implicit Euler."""
-        dt = 1.0 / (steps * substeps)
-        x = np.exp(-_DECAY * dt * np.arange(steps * substeps))
+        dt = 1.0 / (steps * _SUBSTEPS)
+        x = np.exp(-_DECAY * dt * np.arange(steps * _SUBSTEPS))
         forces = _features(x, len(self.weights)) @ self.weights
         y, v, path = np.array(start, float), np.zeros_like(start, float), [np.array(start, float)]
         for k, force in enumerate(forces):
             acceleration = _STIFFNESS * (goal - y - (goal - start) * x[k] + force) - 2 * np.sqrt(_STIFFNESS) * v
             v = v + dt * acceleration
             y = y + dt * v
-            if (k + 1) % substeps == 0:
+            if (k + 1) % _SUBSTEPS == 0:
                 path.append(y)
         return np.array(path)
 

@@ -26,7 +26,7 @@ from kpirl_ocp.ocp.problem.solver import Guess, Solver
 from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration
 
-_IPOPT = {"print_level": 0, "sb": "yes", "mu_init": 1e-3}  # a small barrier: the start is feasible
+_IPOPT = {"print_level": 0, "sb": "yes", "max_iter": 300, "mu_init": 1e-3}  # a small barrier: the start is feasible
 _QUIET = {"print_time": False, "error_on_fail": False}
 
 
@@ -47,7 +47,6 @@ def single_level(
     solver: Solver,
     guess: Guess = None,
     least: ArrayLike = 0.0,
-    max_iterations: int = 300,
 ) -> SingleLevelResult:
     """Learn psi >= least with the sum of psi0 (n_psi,), by Ipopt, from the plans for psi0.
 
@@ -58,7 +57,7 @@ def single_level(
         solver: plans for psi0 from the guess, where the program starts.
         guess: of these plans.
         least: a number or (n_psi,). A little effort keeps costs away under which much is stationary and little optimal.
-        max_iterations: of Ipopt.
+
 
     Raises:
         ProblemError: bounds or inequalities, as complementarity is no equation that Ipopt could solve.
@@ -81,7 +80,7 @@ def single_level(
         states = ca.reshape(w[: problem.n_states * (problem.horizon + 1)], problem.n_states, problem.horizon + 1)
         loss += ca.sumsqr(problem.observe(states) - demonstrated_observations(problem, demo))
     nlp = {"x": ca.vertcat(*variables), "f": loss / len(demonstrations), "g": ca.vertcat(*constraints)}
-    ipopt = ca.nlpsol("single_level", "ipopt", nlp, {"ipopt": _IPOPT | {"max_iter": max_iterations}, **_QUIET})
+    ipopt = ca.nlpsol("single_level", "ipopt", nlp, {"ipopt": _IPOPT, **_QUIET})
     lower = np.full(nlp["x"].numel(), -np.inf)
     lower[: len(start)] = np.broadcast_to(np.asarray(least, float), start.shape)
     result = call_solver(ipopt, x0=np.concatenate(guesses), lbx=lower, ubx=np.inf, lbg=0, ubg=0)

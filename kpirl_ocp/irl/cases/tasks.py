@@ -3,8 +3,8 @@
 reaching: the object moves along a straight line to a random goal.
 placing: first along x, then down, as a bottle is put on a shelf.
 
-The expert moves the object without turning it, with a minimum-jerk speed profile; the joints
-follow by tracking that path with the OCP toolkit, within the joint limits. A demonstration is the arm's motion.
+The expert moves the object without turning it, with a minimum-jerk speed profile; the joints follow by tracking that
+path with the OCP toolkit, within the joint limits. A demonstration is the arm's motion.
 """
 
 from __future__ import annotations

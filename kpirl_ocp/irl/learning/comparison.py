@@ -29,6 +29,7 @@ from kpirl_ocp.reporting import deaf_pool, pool_ending
 from kpirl_ocp.types import Array, Demonstration
 
 TRUNCATION = 10  # steps that Truncated goes back
+_PRODUCTS = 30  # of the power iteration
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def case_of(source: str) -> Case:
     return Case(problem, demonstration, own.psi, step_size, steps=0)
 
 
-def largest_curvature(problem: OCP, demonstration: Demonstration, psi: Array, iterations: int = 30) -> float:
+def largest_curvature(problem: OCP, demonstration: Demonstration, psi: Array) -> float:
     """The largest eigenvalue of the Hessian of the cost by the actions, at the solution; by power iteration."""
     solution = Ipopt().solve(problem, demonstration.s0, psi, demonstration.context).raise_if_failed()
     u, v = ca.MX.sym("u", solution.actions.size), ca.MX.sym("v", solution.actions.size)
@@ -76,7 +77,7 @@ def largest_curvature(problem: OCP, demonstration: Demonstration, psi: Array, it
     slope = ca.gradient(problem.cost(states, actions, psi, demonstration.context), u)
     product = ca.Function("product", [u, v], [ca.jtimes(slope, u, v)])
     direction, value = np.random.default_rng(0).normal(size=solution.actions.size), 0.0
-    for _ in range(iterations):
+    for _ in range(_PRODUCTS):
         direction = product(solution.actions.ravel(), direction / np.linalg.norm(direction)).full().ravel()
         value = float(np.linalg.norm(direction))
     return value

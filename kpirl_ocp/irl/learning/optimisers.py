@@ -50,6 +50,8 @@ class Box(NamedTuple):
 
 
 EVERYWHERE = Box()
+_HALVINGS = 30  # of a step, down to 1e-9 of it
+_ARMIJO = 1e-4  # share of the decrease to first order that a step must bring (Nocedal and Wright, section 3.1)
 
 
 class Optimiser(Protocol):
@@ -143,13 +145,13 @@ class LBFGS:
         direction = np.where(free, -self._two_loops(np.where(free, point.gradient, 0.0), _on(free, memory)), 0.0)
         if not memory:
             direction *= self.first_step / max(float(np.linalg.norm(direction)), np.finfo(float).tiny)
-        for halvings in range(30):
+        for halvings in range(_HALVINGS):
             psi = box.project(point.psi + 0.5**halvings * direction)
             try:
                 new = evaluate(psi)
             except CertificateError:
                 continue
-            if new.loss <= point.loss + 1e-4 * float(point.gradient @ (psi - point.psi)):  # Armijo
+            if new.loss <= point.loss + _ARMIJO * float(point.gradient @ (psi - point.psi)):
                 if point.loss - new.loss > self.tolerance * abs(point.loss):
                     return new, self._remember(point, new, memory)
                 break

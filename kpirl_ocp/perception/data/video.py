@@ -74,7 +74,6 @@ def sampled_frames(
     rate: float,
     *,
     source_rate: float | None = None,
-    longest: int | None = None,
     start: float = 0.0,
     end: float = np.inf,
 ) -> Iterator[tuple[float, Frames]]:
@@ -86,7 +85,7 @@ def sampled_frames(
         raise FileError(f"{path} cannot be read at {rate:g} frames per second.")
     times: list[float] = []
     last, count, repeated = -1.0, 0, 0
-    frames = _noting(iterate_frames(path, source_rate=source_rate, longest=longest, end=end), times)
+    frames = _noting(iterate_frames(path, source_rate=source_rate, end=end), times)
     for time, image in sampled(frames, rate, start):
         count, repeated, last = count + 1, repeated + (time == last), time
         if repeated > max(_PAUSE, _REPEATED * count):

@@ -6,6 +6,7 @@ One file serves both libraries: PyBullet draws it, Pinocchio computes its kinema
 from __future__ import annotations
 
 import importlib.util
+import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,7 @@ class Shape:
     colour: tuple[float, float, float] = (0.5, 0.5, 0.5)
 
 
-_QUARTER = 1.5707963267948966
+_QUARTER = math.pi / 2  # of a turn [rad]
 _GREEN, _WHITE, _SILVER = (0.05, 0.45, 0.15), (0.92, 0.92, 0.88), (0.75, 0.76, 0.78)
 
 # A bottle 0.25 m high, its frame in the middle of the body, z towards the neck.

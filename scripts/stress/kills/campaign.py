@@ -29,10 +29,10 @@ _NOTE = (
 
 def measure(profile: Profile) -> Part:
     """Every program, at least `profile.kills` times."""
-    programs = [program for program in PROGRAMS if profile.kills >= 20 or program.name in QUICK]
+    programs = [program for program in PROGRAMS if profile.every_program or program.name in QUICK]
     with tempfile.TemporaryDirectory() as base:
         data = Path(base) / "data"
-        if profile.kills >= 20:
+        if profile.every_program:
             for program in DATA:
                 _run(program, data, data / program.name)
         found = {program.name: torment(program, data, Path(base), profile.kills) for program in programs}

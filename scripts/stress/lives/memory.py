@@ -22,6 +22,7 @@ from kpirl_ocp.errors import KpirlError
 from stress.certificates.families import draw
 from stress.settings import Profile
 
+_OPENED = 100  # runs after which everything that stays open is open
 _FULL = 0.6  # share of the run after which all caches are full, in the full profile
 
 
@@ -52,7 +53,7 @@ def _grow(name: str, act: Callable[[int], None], count: int) -> dict[str, float]
     found = {}
     for index in tqdm(range(count), name, unit=""):
         act(index)
-        if index == min(100, middle - 1):
+        if index == min(_OPENED, middle - 1):
             at_start = _handles()
         if index == middle - 1:
             found["middle"] = _resident()
