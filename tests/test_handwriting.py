@@ -5,6 +5,7 @@ import pytest
 
 from kpirl_ocp import LBFGS, Implicit, Riccati, evaluate, learn
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.irl.baselines import movement_primitives
 from kpirl_ocp.irl.baselines.movement_primitives import MovementPrimitive
 from kpirl_ocp.irl.cases.handwriting import handwriting_ocp, handwriting_start, stroke
 from kpirl_ocp.motion import minimum_jerk
@@ -35,12 +36,18 @@ def test_a_primitive_moves_with_its_start_and_goal_and_arrives():
     assert np.linalg.norm(longer[-1] - [-0.5, 0.5]) < 0.05
 
 
-def test_a_primitive_without_force_falls_to_its_goal_as_a_critically_damped_spring():
-    path = MovementPrimitive(np.zeros((3, 1))).run(np.array([1.0]), np.array([0.0]), T, substeps=400)
-    slow = MovementPrimitive(np.zeros((3, 1))).run(np.array([1.0]), np.array([0.0]), T, substeps=800)
-    assert np.abs(path - slow).max() < 2e-3  # first order in the step
-    assert (path >= -1e-9).all()  # it does not overshoot
-    assert (np.diff(path[:, 0]) <= 1e-12).all()
+def test_a_primitive_without_force_falls_to_its_goal_as_a_critically_damped_spring(monkeypatch):
+    """y'' + 2 w y' + w^2 y = w^2 exp(-a t) from y = 1 at rest: y = A exp(-a t) + (1 - A + C t) exp(-w t)."""
+    t, w, a = np.linspace(0, 1, T + 1), np.sqrt(150.0), 4.0
+    A = w**2 / (w - a) ** 2
+    exact = A * np.exp(-a * t) + (1 - A + (w * (1 - A) + a * A) * t) * np.exp(-w * t)
+    errors = []
+    for substeps in (20, 40, 80):
+        monkeypatch.setattr(movement_primitives, "_SUBSTEPS", substeps)
+        path = MovementPrimitive(np.zeros((3, 1))).run(np.array([1.0]), np.array([0.0]), T)
+        errors.append(np.abs(path[:, 0] - exact).max())
+    assert errors[0] < 2e-3
+    np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 2.0, rtol=0.05)  # of first order
 
 
 def test_no_paths_and_no_kernels_are_refused():
