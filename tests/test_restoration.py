@@ -180,3 +180,68 @@ def test_opposing_inequalities_that_leave_one_point_are_no_contradiction(unit):
     found = Riccati().solve(problem, [1.0, 0.0])
     assert found.status.ok
     np.testing.assert_allclose(found.actions, np.full((3, 1), 0.3), rtol=0, atol=1e-7 / min(unit, 1))
+
+
+def at_rest_on_its_bound(unit, cost, released, horizon=15):
+    """A double integrator at rest at its bound s[0] <= unit; `released`: without that where no action moves s[0]."""
+    stage_cost = cost * ((S[0] / unit - 0.2) ** 2 + 0.1 * (U / unit) ** 2 + 0.1 * S[1] * U / unit**2)
+    upper = np.tile([unit, 2 * unit], (horizon + 1, 1))
+    if released:
+        upper[1, 0] = np.inf
+    return OCP.from_expressions(
+        state=S,
+        action=U,
+        dynamics=S + 0.1 * ca.vertcat(S[1], U),
+        stage_cost=stage_cost,
+        horizon=horizon,
+        action_bounds=(-3 * unit, 3 * unit),
+        state_bounds=(-2 * unit, upper),
+    )
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("cost", [1e-2, 1.0, 1e2])
+def test_a_bound_that_no_action_moves_changes_no_plan(unit, cost):
+    bound, free = (
+        Riccati().solve(at_rest_on_its_bound(unit, cost, released), [unit, 0.0]).raise_if_failed()
+        for released in (False, True)
+    )
+    assert bound.status is Status.CONVERGED
+    assert bound.iterations <= free.iterations + 5
+    np.testing.assert_allclose(bound.actions, free.actions, rtol=0, atol=1e-6 * unit)
+    assert bound.states[:, 0].max() <= unit + 1e-10
+
+
+@pytest.mark.parametrize("cost", [1e-2, 1e2, 1e4])
+def test_multipliers_without_bound_are_no_scale_for_the_gradient(cost):
+    """In units in which rounding is near the tolerance, it may fail; but it does not call another plan converged."""
+    bound, free = (Riccati().solve(at_rest_on_its_bound(1e4, cost, released), [1e4, 0.0]) for released in (False, True))
+    assert bound.objective == pytest.approx(free.objective, rel=1e-6) or not bound.status.ok
+
+
+def test_path_constraints_that_no_action_moves_change_no_plan():
+    plain = {"dynamics": S + 0.1 * ca.vertcat(S[1], U), "stage_cost": S[0] ** 2 + U**2, "horizon": 10}
+    free = OCP.from_expressions(state=S, action=U, **plain)
+    held = OCP.from_expressions(state=S, action=U, path_constraint=ca.vertcat(S[0] - 1, -S[0] - 1), **plain)
+    found = Riccati().solve(held, [1.0, 0.0])
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.actions, Riccati().solve(free, [1.0, 0.0]).actions, rtol=0, atol=1e-8)
+
+
+def test_three_states_at_rest_on_a_bound_move_off_it():
+    """Neither s_1 nor s_2 of a triple integrator is moved by an action."""
+    s = ca.SX.sym("s", 3)
+    dynamics = s + 0.1 * ca.vertcat(s[1], s[2], U)
+    problem = OCP.from_expressions(
+        state=s,
+        action=U,
+        dynamics=dynamics,
+        stage_cost=s[0] ** 2 + 0.01 * U**2,
+        horizon=20,
+        state_bounds=(-1, 1),
+        action_bounds=(-5, 5),
+    )
+    found, other = (solver.solve(problem, [1.0, 0.0, 0.0]) for solver in (Riccati(), Ipopt()))
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.actions, other.actions, rtol=0, atol=1e-4)
+    assert found.objective == pytest.approx(other.objective, rel=1e-8)

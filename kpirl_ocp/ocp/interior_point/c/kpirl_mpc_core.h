@@ -247,10 +247,10 @@ int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core);
 void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit);
 real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length);
 void kpirl_mpc_centre(kpirl_mpc_core *core);
+real kpirl_mpc_room(const kpirl_mpc_core *core, real g, real y); /* what steps leave of g + y: of constraints without interior */
 real kpirl_mpc_hard_log_sum(const kpirl_mpc_core *core, const real *y);
 
-/* termination: the tau to stop at; the largest residual; do the conditions hold, or as far as rounding lets them; is there no
- * progress any more? */
+/* termination: the tau to stop at; the largest residual; do the conditions hold, or up to rounding; is there no progress any more? */
 real kpirl_mpc_final_tau(const kpirl_mpc_core *core);
 real kpirl_mpc_worst(const kpirl_mpc_residuals *r);
 int kpirl_mpc_solved(const kpirl_mpc_core *core);

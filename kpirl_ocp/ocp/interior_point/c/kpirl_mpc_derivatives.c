@@ -27,7 +27,7 @@ static real violation_of(const kpirl_mpc_core *core) {
              (core->penalty > 0 ? 0 : kpirl_mpc_absolute_sum(d->c, kpirl_mpc_n_equalities(core)));
   int i;
   for (i = 0; i < m; ++i)
-    if (!kpirl_mpc_is_elastic(core, i)) sum += kpirl_mpc_abs(d->g[i] + core->at.y[i]);
+    if (!kpirl_mpc_is_elastic(core, i)) sum += kpirl_mpc_abs(d->g[i] + core->at.y[i] - kpirl_mpc_room(core, d->g[i], core->at.y[i]));
   return sum;
 }
 

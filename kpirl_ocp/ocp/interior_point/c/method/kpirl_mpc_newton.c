@@ -115,7 +115,7 @@ static void follow_inequalities(const kpirl_mpc_core *core, kpirl_mpc_iterate *c
   kpirl_mpc_path_times(core, d->G, DIM(core, n_path), DIM(core, n_terminal), change->x, change->z + bounds); /* dg, so far */
   for (i = 0; i < m; ++i) {
     const real dg = change->z[i];
-    change->y[i] = -(d->g[i] + at->y[i]) - dg;
+    change->y[i] = -(d->g[i] + at->y[i] - kpirl_mpc_room(core, d->g[i], at->y[i])) - dg;
     change->z[i] = core->force[i] + core->weights[i] * dg - at->z[i];
   }
 }
@@ -163,7 +163,10 @@ void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
   const real enough = (real)core->options.tolerance / 10;
   const kpirl_mpc_iterate *at = &core->at;
   int i;
-  for (i = 0; i < m; ++i) core->force[i] = core->target[i] / at->y[i] + core->weights[i] * (core->d.g[i] + at->y[i]);
+  for (i = 0; i < m; ++i) {
+    const real g = core->d.g[i];
+    core->force[i] = core->target[i] / at->y[i] + core->weights[i] * (g + at->y[i] - kpirl_mpc_room(core, g, at->y[i]));
+  }
   solve_stages(core, change);
   memcpy(change->nu, core->d.c, (size_t)n_c * sizeof(real));
   push_equalities(core, change->x, change->nu);

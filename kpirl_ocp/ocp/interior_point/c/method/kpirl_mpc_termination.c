@@ -5,6 +5,7 @@
 #include "kpirl_mpc_core.h"
 
 static const real ROUNDING = 500 * KPIRL_MPC_EPSILON; /* of slack * multiplier, relative to `largest_product` */
+static const real HEAVIEST = (real)1e4; /* multipliers, relative to the gradient of J, up to which they are the scale of stationarity */
 static const int IDLE = 5; /* iterations without a smaller residual after which rounding is the floor */
 
 /* The largest multiplier times what its slack is a difference of: an entry of x and a bound; of h, taken as 1. */
@@ -43,18 +44,25 @@ real kpirl_mpc_worst(const kpirl_mpc_residuals *r) {
   return kpirl_mpc_largest(parts, 3);
 }
 
+/* The residuals to stop at. Multipliers that grow without bound, where constraints have no interior, are no scale for the gradient. */
+static void find_residuals(const kpirl_mpc_core *core, kpirl_mpc_residuals *residuals) {
+  const real gradient = kpirl_mpc_largest(core->d.cost_gradient, kpirl_mpc_n_point(core));
+  kpirl_mpc_find_residuals(core, (real)core->options.barrier, residuals);
+  residuals->scale = kpirl_mpc_smaller(residuals->scale, kpirl_mpc_larger(1, HEAVIEST * gradient));
+}
+
 /* Do the conditions hold? Complementarity relative to the scale alone would leave the weakest of the active constraints too far
  * from its bound. */
 int kpirl_mpc_solved(const kpirl_mpc_core *core) {
   kpirl_mpc_residuals residuals;
-  kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
+  find_residuals(core, &residuals);
   return kpirl_mpc_worst(&residuals) <= core->tolerance && residuals.complementarity <= close_enough(core);
 }
 
 /* Do the conditions hold as far as rounding lets them? */
 int kpirl_mpc_acceptable(const kpirl_mpc_core *core) {
   kpirl_mpc_residuals residuals;
-  kpirl_mpc_find_residuals(core, (real)core->options.barrier, &residuals);
+  find_residuals(core, &residuals);
   return kpirl_mpc_worst(&residuals) <= kpirl_mpc_root(core->tolerance) / 10;
 }
 

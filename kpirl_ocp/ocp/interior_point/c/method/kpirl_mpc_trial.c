@@ -9,6 +9,27 @@
 static const real REMAINDER = (real)0.1;  /* a trial may end this much closer to the boundary than its linearisation */
 static const real CENTRAL = (real)1e-3;   /* slack * multiplier of h, relative to tau */
 static const real CENTRE = (real)1e10;    /* slack * multiplier stays within this factor of tau */
+static const real STILL = (real)0.5;      /* change of a slack without interior, relative to it, that is rounding */
+static const real NOTHING = (real)1e-3;   /* what a Newton step leaves of a slack, relative to it and to tau / z, where it leaves none */
+
+/* What remains of g + y where a constraint has no interior, because no decision moves it (a bound on which a system at rest begins)
+ * or it leaves one point: a slack of the tolerance at g = 0. If it vanished, its multiplier would grow without bound. */
+real kpirl_mpc_room(const kpirl_mpc_core *core, real g, real y) {
+  return y <= 2 * (real)core->options.tolerance && kpirl_mpc_abs(g) <= y / 2 ? g + y : 0;
+}
+
+/* Of a bounded entry of x; that of a value of h is not known. */
+static real rounding(const kpirl_mpc_core *core, int row) {
+  if (row >= kpirl_mpc_n_bounds(core)) return 0;
+  return 4 * KPIRL_MPC_EPSILON * kpirl_mpc_abs(core->at.x[row < core->n_lower ? core->lower[row] : core->upper[row - core->n_lower]]);
+}
+
+/* Would the whole Newton step leave nothing, up to rounding, of a slack below the tolerance? One that decisions move stays near tau / z. */
+static int is_used_up(const kpirl_mpc_core *core, int row) {
+  const real y = core->trial.y[row], z = core->trial.z[row]; /* before the step */
+  const real left = kpirl_mpc_larger(kpirl_mpc_abs(y + core->step.change.y[row]) - rounding(core, row), 0);
+  return core->at.y[row] < (real)core->options.tolerance && left <= NOTHING * y && left * z <= NOTHING * core->step.tau;
+}
 
 /* Lifted: x + length dx, as in multiple shooting, with the defects that the dynamics leave there. Else along the dynamics. */
 void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit) {
@@ -19,7 +40,7 @@ void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_meri
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core), bounds = kpirl_mpc_n_bounds(core);
   const real least = REMAINDER * (1 - core->step.share);
   real *path = core->force + bounds, *equality = trial->nu + core->n_fixed, *g = trial->z;
-  real objective = 0, theta, penalty;
+  real objective = 0, theta, penalty, room;
   int i, outside = 0;
   if (lifted) {
     for (i = 0; i < n_w; ++i) trial->x[i] = at->x[i] + length * change->x[i];
@@ -40,9 +61,13 @@ void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_meri
       trial->y[i] = at->y[i];
       continue;
     }
-    trial->y[i] = i < bounds ? (1 - length) * (d->g[i] + at->y[i]) - g[i]
-                             : kpirl_mpc_larger(at->y[i] + length * change->y[i], -g[i]);
-    theta += kpirl_mpc_abs(g[i] + trial->y[i]);
+    room = kpirl_mpc_room(core, d->g[i], at->y[i]);
+    if (room > 0 && kpirl_mpc_abs(change->y[i]) <= STILL * at->y[i])
+      trial->y[i] = at->y[i];
+    else
+      trial->y[i] = i < bounds ? (1 - length) * (d->g[i] + at->y[i] - room) + room - g[i]
+                               : kpirl_mpc_larger(at->y[i] + length * change->y[i], -g[i]);
+    theta += kpirl_mpc_abs(g[i] + trial->y[i] - kpirl_mpc_room(core, g[i], trial->y[i]));
     outside |= trial->y[i] < least * at->y[i];
   }
   if (core->failed) theta = (real)NAN; /* outside the domain of a function: no place to go */
@@ -89,6 +114,7 @@ void kpirl_mpc_centre(kpirl_mpc_core *core) {
     at->y[i] = isnan(g) ? g : kpirl_mpc_larger(at->y[i], -g);
     if (i >= bounds && at->z[i] > 0)
       at->y[i] = kpirl_mpc_larger(at->y[i], kpirl_mpc_smaller(CENTRAL * core->tau / at->z[i], tolerated));
+    if (is_used_up(core, i)) at->y[i] = (real)core->options.tolerance;
     centred = core->tau / at->y[i];
     if (at->z[i] < centred / CENTRE) at->z[i] = centred / CENTRE;
     if (at->z[i] > centred * CENTRE) at->z[i] = centred * CENTRE;
