@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol
 
-import numpy as np
 from numpy.typing import ArrayLike
 
+from kpirl_ocp.ocp.interior_point.library import all_finite
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.sensitivity.certificate import Certificate, require
@@ -53,6 +53,6 @@ def enforce(policy: str, result: HypergradientResult) -> HypergradientResult:
 
 def nonfinite_failures(loss: float, gradient: Array) -> list[str]:
     """One failure message if loss or gradient is not finite, else none."""
-    if math.isfinite(loss) and np.isfinite(gradient).all():
+    if math.isfinite(loss) and all_finite(gradient):
         return []
     return ["The loss or its gradient is NaN or infinite: look at the solution's status and the dynamics."]

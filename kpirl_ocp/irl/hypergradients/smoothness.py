@@ -6,17 +6,19 @@ both sides of a point.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
 from kpirl_ocp.irl.hypergradients.loss import Loss
+from kpirl_ocp.ocp.interior_point.library import all_finite
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.certificate import KINK
-from kpirl_ocp.ocp.sensitivity.evidence import loss_at, parameter_jump
+from kpirl_ocp.ocp.sensitivity.evidence import LossOfPlan, parameter_jump
 from kpirl_ocp.types import Array, Solution
 
 LOSS_KINK = "The loss or the observation sits on a kink at this plan: use smooth ones (squares, softplus, tanh)."
@@ -31,17 +33,17 @@ class LossAt:
 
     def __init__(self, problem: OCP, loss: Loss, data: Array, x: Array) -> None:
         """data: (n_data, T+1) of the demonstration. x: the plan (n_w,) in the order of time."""
-        self._evaluate = partial(loss_at, problem, _loss_and_slopes(loss), data.T, x)
-        self.value, self.slopes, self._kink = self._evaluate()
+        self._loss = LossOfPlan(problem, _loss_and_slopes(loss), data.T, x)
+        self.value, self.slopes = self._loss.value, self._loss.slopes
 
     def kinks(self, along: Array | None = None) -> list[str]:
         """One failure message if the loss is not smooth at the plan, else none.
 
         It is tested in a random direction, and along a given move (n_w,) of the plan.
         """
-        if not (np.isfinite(self.value) and np.isfinite(self.slopes).all()):
+        if not (math.isfinite(self.value) and all_finite(self.slopes)):
             return []
-        smooth = self._kink <= KINK and (along is None or not along.any() or self._evaluate(along)[2] <= KINK)
+        smooth = self._loss.kink <= KINK and (along is None or not along.any() or self._loss.kink_along(along) <= KINK)
         return [] if smooth else [LOSS_KINK]
 
 

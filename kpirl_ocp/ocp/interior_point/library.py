@@ -17,6 +17,7 @@ from kpirl_ocp.types import Array
 POINTER, INT, REAL = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
 FIRST, SECOND = 1, 2  # levels of derivatives
 _NOTHING = np.zeros(1)  # in place of empty arrays: NULL stands for what is not given
+_address, _begin = ctypes.addressof, ctypes.c_char.from_buffer
 
 
 def _structure(name: str, **fields: object) -> type[ctypes.Structure]:
@@ -140,7 +141,7 @@ System = _structure(
     **dict.fromkeys(("n_path", "n_equality", "n_terminal", "n_terminal_equality"), INT),
     **dict.fromkeys(("n_free", "n_bounds", "n_decisions"), INT),
     **dict.fromkeys(("free", "entries", "decisions", "signs", "F", "G", "E", "H"), POINTER),
-    **dict.fromkeys(("sigma", "active", "sizes", "roots", "lengths", "stiffness"), POINTER),
+    **dict.fromkeys(("sigma", "active", "sizes", "roots", "lengths", "moved", "stiffness"), POINTER),
     factors=Factors,
     scratch=POINTER,
     scale=REAL,
@@ -225,18 +226,24 @@ def symbol(name: str) -> int:
     return address
 
 
-def read(address: int, size: int) -> Array:
-    """A copy of numbers of the C code."""
+def read(address: int, size: int, kind: type = float) -> NDArray[Any]:
+    """A copy of numbers of the C code, as floats or as another kind."""
     if not size:
-        return np.zeros(0)
+        return np.zeros(0, kind)
     numbers: Array = np.frombuffer((ctypes.c_double * size).from_address(address))  # type: ignore[call-overload]
-    return numbers.copy()
+    return numbers.astype(kind)
+
+
+def all_finite(array: Array) -> bool:
+    """True without NaN and infinity; a third of the time that numpy takes."""
+    numbers = np.ascontiguousarray(array, float)
+    return bool(library().kpirl_mpc_all_finite(address_of(numbers), numbers.size))
 
 
 def address_of(array: NDArray[Any]) -> int:
     """Of the first number of an array; a quarter of the time that `array.ctypes.data` takes. Empty ones share one."""
     try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array if array.size else _NOTHING))  # type: ignore[arg-type]
+        return _address(_begin(array if array.size else _NOTHING))  # type: ignore[arg-type]
     except (TypeError, ValueError, BufferError):  # read only, or not contiguous
         return int(array.ctypes.data)
 
@@ -279,15 +286,15 @@ def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER]
     core.kpirl_mpc_solve_each.argtypes = [POINTER, INT, *[POINTER] * 5]
     core.kpirl_mpc_solve_each.restype = None
-    core.kpirl_mpc_core_set_model.argtypes = [POINTER] * 2
     core.kpirl_mpc_core_evaluate_at.argtypes = [POINTER, POINTER, POINTER, INT]
-    core.kpirl_mpc_core_gradient.argtypes = [POINTER] * 2
+    for name in ("set_model", "gradient", "view"):
+        getattr(core, f"kpirl_mpc_core_{name}").argtypes = [POINTER] * 2
     for name, count in _OF_SYSTEMS.items():
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER] * count
+    core.kpirl_mpc_all_finite.argtypes = [POINTER, INT]
     core.kpirl_mpc_certify_each.argtypes = [*[POINTER] * 4, INT, *[POINTER] * 2]
     core.kpirl_mpc_certify_each.restype = None
     for name in ("kkt_solve", "kink_in_parameters", "kink_of_loss"):
         getattr(core, f"kpirl_mpc_{name}").restype = REAL
     core.kpirl_mpc_kkt_init.restype = ctypes.c_size_t
-    core.kpirl_mpc_core_view.argtypes = [POINTER] * 2
     return core

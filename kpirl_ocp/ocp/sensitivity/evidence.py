@@ -6,8 +6,6 @@ The arithmetic is in C: `kpirl_mpc_certify.c` and `kpirl_mpc_kinks.c`.
 from __future__ import annotations
 
 import ctypes
-from operator import attrgetter
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +21,7 @@ from kpirl_ocp.ocp.sensitivity.rows import rows_of
 from kpirl_ocp.types import Array
 
 _FIELDS = [name for name, *_ in c.Evidence._fields_]
-_VALUES = attrgetter(*_FIELDS)
+_Numbers = c.REAL * len(_FIELDS)  # instead of `c.Evidence`: all of them are read at once
 
 
 def measure(
@@ -38,17 +36,12 @@ def measure(
         slope: (n_w,) gradient by x.
         direction: (n_w,) direction along which smoothness is tested; by default the adjoint.
     """
-    found, evidence = ByParameters.empty(system.instance.problem), c.Evidence()
+    found, evidence = ByParameters.empty(system.instance.problem), _Numbers()
     structure, along = found.structure, None if direction is None else c.address_of(direction)
     systems, ends = (system.address, nearby.address), (ctypes.addressof(structure), ctypes.addressof(evidence))
     function = core.function(parameter_derivatives.pull)
     core.library.kpirl_mpc_certify(*systems, core.address, function, c.address_of(slope), along, *ends)
-    return found, fields_of(evidence)
-
-
-def fields_of(evidence: Any) -> dict[str, float]:
-    """The structure `kpirl_mpc_evidence` as a dictionary with the field names of `SensitivityCertificate`."""
-    return dict(zip(_FIELDS, _VALUES(evidence), strict=True))
+    return found, dict(zip(_FIELDS, evidence, strict=True))
 
 
 def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:
@@ -75,24 +68,33 @@ def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:
         return float(core.library.kpirl_mpc_kink_in_parameters(*given))
 
 
-def loss_at(
-    problem: OCP, build: Build, data: Array, x: Array, along: Array | None = None
-) -> tuple[float, Array, float]:
-    """A loss at x (n_w,), its gradient (n_w,), and how far it is from smooth there, relative.
+class LossOfPlan:
+    """A loss at x (n_w,).
 
-    The gradient is compared with finite differences, and with the gradients to either side.
+    value: of the loss. slopes: (n_w,) its gradient. kink: relative deviation from smoothness in a random direction.
+    """
 
-    Args:
+    def __init__(self, problem: OCP, build: Build, data: Array, x: Array) -> None:
+        """
         build: problem -> function (S, U, data) -> L, dL/dS, dL/dU, all dense.
         data: argument of the function, in column-major order.
-        along: (n_w,) the differences go a millionth of this vector to either side; by default of a random one.
-    """
-    rows, n_w = rows_of(problem), len(x)
-    value, slopes, work, given = np.empty(1), np.empty(n_w), np.empty(8 * n_w), np.ascontiguousarray(data, float)
-    kept = rows.dimensions, rows.structure
-    sizes = [ctypes.addressof(part) for part in kept]
-    direction = None if along is None else c.address_of(along)
-    with borrow_core(problem) as core:
-        arrays, results = map(c.address_of, (given, x)), map(c.address_of, (value, slopes, work))
-        kink = core.library.kpirl_mpc_kink_of_loss(*sizes, core.function(build), *arrays, direction, *results)
-    return float(value[0]), slopes, float(kink)
+        """
+        rows, n_w, self._problem, self._build = rows_of(problem), len(x), problem, build
+        value, self.slopes = c.REAL(), np.empty(n_w)
+        self._kept = rows.dimensions, rows.structure, value, np.ascontiguousarray(data, float), x, np.empty(8 * n_w)
+        *structures, data, x, work = self._kept
+        self._sizes = [ctypes.addressof(structure) for structure in structures]
+        self._arrays = [c.address_of(array) for array in (data, x, self.slopes, work)]
+        self.kink = self.kink_along(None)
+        self.value = value.value
+
+    def kink_along(self, move: Array | None) -> float:
+        """Relative deviation of the gradient from finite differences, and from the gradients to either side.
+
+        move: (n_w,) the differences go a millionth of this vector to either side; None: of a random one.
+        """
+        (*sizes, value), (data, x, slopes, work) = self._sizes, self._arrays
+        along = None if move is None else c.address_of(move)
+        with borrow_core(self._problem) as core:
+            at = *sizes, core.function(self._build), data, x, along, value, slopes, work
+            return float(core.library.kpirl_mpc_kink_of_loss(*at))

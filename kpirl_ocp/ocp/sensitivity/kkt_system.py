@@ -47,20 +47,13 @@ class Instance:
 
     @classmethod
     def of(cls, problem: OCP, solution: Solution) -> Instance:
-        """The instance that a solution solves. Raises ProblemError when a length does not fit the problem."""
-        s0, psi, context = problem.inputs(solution.states[0], solution.psi, solution.context)
-        return cls(problem, s0, psi, context, solution.barrier)
+        """The instance that a solution solves, which fits the problem (`check_solution`)."""
+        return cls(problem, solution.states[0], solution.psi, solution.context, solution.barrier)
 
     @property
     def rows(self) -> Rows:
         """All constraints but the dynamics."""
         return rows_of(self.problem)
-
-    @property
-    def numbers(self) -> list[Array]:
-        """The arrays of the structure `kpirl_mpc_numbers`, in its order."""
-        given = self.s0, self.psi, self.context, self.problem.schedule
-        return [np.ascontiguousarray(array, float) for array in given]
 
     def values(self, point: PrimalDual) -> StageValues:
         """Constraints and the gradient of the Lagrangian at a point."""
@@ -88,11 +81,12 @@ class PrimalDual:
 class Memory:
     """The structure `kpirl_mpc_kkt` for a problem, with the arrays it points to; for one thread at a time.
 
-    sizes_of_parts: lengths n_w, T n_s and n_rows of the parts of a point.
+    sizes_of_parts: lengths n_w, T n_s and n_rows of the parts of a point. schedule: address of the problem's.
     """
 
     def __init__(self, problem: OCP) -> None:
-        rows = rows_of(problem)
+        rows, self._schedule = rows_of(problem), np.ascontiguousarray(problem.schedule, float)
+        self.schedule = c.address_of(self._schedule)
         self.sizes_of_parts = len(rows.largest_bound), problem.horizon * problem.n_states, len(rows.inequality)
         self._arrays, self._rows, self.structure = np.empty(rows.n_memory), rows.structure, c.KKT()
         self.address, dimensions = ctypes.addressof(self.structure), rows.dimensions
@@ -112,8 +106,11 @@ class KKTSystem:
         """A system without a point yet, in its own memory or in the given one."""
         self.instance, self._memory, self._library = instance, memory or Memory(instance.problem), c.library()
         self.structure, self.address, self.finite = self._memory.structure, self._memory.address, False
-        self._numbers = instance.numbers
-        self.structure.numbers = c.Numbers(*map(c.address_of, self._numbers))
+        self._numbers = np.concatenate((instance.s0, instance.psi, instance.context), dtype=float)
+        start, size = c.address_of(self._numbers), self._numbers.itemsize
+        psi = start + size * len(instance.s0)
+        context = psi + size * len(instance.psi)
+        self.structure.numbers = c.Numbers(start, psi, context, self._memory.schedule)
         self.structure.barrier = instance.barrier
         self._kept: Any = None
 
@@ -171,7 +168,7 @@ class KKTSystem:
     @property
     def active(self) -> Mask:
         """(n_rows,) True for rows of C: equalities and active inequalities."""
-        return self._of_system("active", self.sizes_of_parts[2]) != 0
+        return c.read(self.structure.system.active, self.sizes_of_parts[2], bool)
 
     @property
     def stiffness(self) -> Array:

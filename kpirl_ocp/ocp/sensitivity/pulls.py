@@ -60,14 +60,12 @@ def pull_each(problem: OCP, solutions: Sequence[Solution], by_states: Array, by_
         addresses = at.here.address, at.nearby.address, core.address, function
         ends = ctypes.addressof(questions), ctypes.addressof(answers.structure)
         core.library.kpirl_mpc_certify_each(*addresses, len(rows), *ends)
-    return _gradients(problem, solutions, slopes, answers)
+    return _gradients(problem, solutions, answers)
 
 
-def _gradients(problem: OCP, solutions: Sequence[Solution], slopes: Array, answers: _Answers) -> list[Gradients]:
+def _gradients(problem: OCP, solutions: Sequence[Solution], answers: _Answers) -> list[Gradients]:
     """One record per solution; their arrays are views of the answers."""
     psi, s0, context = answers.by_parameters
-    s0 += slopes[:, : problem.n_states]
-    s0[:, problem.free_start] = 0
     for by in (psi, s0, context):
         by[answers.finite == 0] = np.nan
     measured = [dict(zip(_EVIDENCE.names or (), row, strict=True)) for row in answers.evidence.tolist()]

@@ -19,7 +19,7 @@ _FLOAT = np.dtype(float)
 def check_solution(problem: OCP, solution: Solution, name: str = "the solution") -> None:
     """Raise ProblemError when the arrays of a solution do not fit the problem."""
     arrays, shapes = _arrays(problem)
-    for (part, shape), array in zip(shapes.items(), (*arrays(solution), solution.psi, solution.context), strict=True):
+    for (part, shape), array in zip(shapes.items(), arrays(solution), strict=True):
         if isinstance(array, np.ndarray) and array.shape == shape and array.dtype == _FLOAT:
             continue
         given = floats(f"{name}'s {part}", array).shape
@@ -30,20 +30,21 @@ def check_solution(problem: OCP, solution: Solution, name: str = "the solution")
 def as_row(problem: OCP, solution: Solution) -> Array:
     """A solution that fits a problem as a row (n,), see `SolutionRows`."""
     arrays, _ = _arrays(problem)
-    return np.concatenate(arrays(solution), axis=None, dtype=float)
+    return np.concatenate(arrays(solution)[:-2], axis=None, dtype=float)
 
 
 def as_rows(problem: OCP, solutions: Sequence[Solution]) -> Array:
     """Solutions that fit a problem as rows (B, n), see `SolutionRows`."""
     layout, (arrays, _) = solution_rows(problem), _arrays(problem)
     rows = layout.empty(len(solutions))
-    for part, found in zip(layout.parts(rows), zip(*map(arrays, solutions), strict=True), strict=True):
-        part[...] = found
+    found = zip(*(arrays(each)[:-2] for each in solutions), strict=True)
+    for part, of_all in zip(layout.parts(rows), found, strict=True):
+        part[...] = of_all
     return rows
 
 
 @lru_cache(maxsize=64)
 def _arrays(problem: OCP) -> tuple[attrgetter[tuple[Array, ...]], dict[str, tuple[int, ...]]]:
-    """A getter of a solution's arrays in the order of a row; and their shapes and those of psi and context, by name."""
-    shapes = solution_rows(problem).shapes
-    return attrgetter(*shapes), shapes | {"psi": (problem.n_parameters,), "context": (problem.n_context,)}
+    """A getter of a solution's arrays in the order of a row, then psi and context; and their shapes by name."""
+    shapes = solution_rows(problem).shapes | {"psi": (problem.n_parameters,), "context": (problem.n_context,)}
+    return attrgetter(*shapes), shapes

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.ocp.interior_point.core import Core
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
+from kpirl_ocp.ocp.interior_point.library import all_finite
 from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives
@@ -45,13 +46,6 @@ class Gradients(Brief):
     s0: Array
     context: Array
     certificate: SensitivityCertificate
-
-    @classmethod
-    def of_plan(cls, problem: OCP, slope: Array, found: ByParameters, certificate: SensitivityCertificate) -> Gradients:
-        """The gradients `found` through the other states and actions, and the direct one by s_0 in `slope` (n_w,)."""
-        s0 = slope[: problem.n_states] + found.s0
-        s0[problem.free_start] = 0.0
-        return cls(found.psi, s0, found.context, certificate)
 
     @classmethod
     def undefined(cls, problem: OCP, certificate: SensitivityCertificate) -> Gradients:
@@ -117,7 +111,8 @@ class Sensitivity:
             ProblemError: shapes that do not fit.
         """
         states, actions = self.problem.as_states(by_states), self.problem.as_actions(by_actions)
-        return self.pull_by_stage(by_stage(states, actions))[0]
+        with borrow_core(self.problem) as core:
+            return self._pull(core, self._linearised(core), by_stage(states, actions))
 
     @property
     def plan(self) -> Array:
@@ -129,11 +124,14 @@ class Sensitivity:
         """`pull` of a slope (n_w,) in the order (s_0, u_0, s_1, .., s_T), and `KKTSystem.parameter_tangent` (n_w,)."""
         with borrow_core(self.problem) as core:
             at = self._linearised(core)
-            if not (at.system.finite and np.isfinite(slope).all()):
-                return Gradients.undefined(self.problem, self._certificate(at, None)), np.zeros(slope.shape)
-            found, evidence = measure(core, at.system, at.nearby, slope)
-            certificate, tangent = self._certificate(at, evidence), at.system.parameter_tangent
-        return Gradients.of_plan(self.problem, slope, found, certificate), tangent
+            found = self._pull(core, at, slope)
+            return found, at.system.parameter_tangent
+
+    def _pull(self, core: Core, at: Workspace, slope: Array) -> Gradients:
+        if not (at.system.finite and all_finite(slope)):
+            return Gradients.undefined(self.problem, self._certificate(at, None))
+        (psi, s0, context), evidence = measure(core, at.system, at.nearby, slope)
+        return Gradients(psi, s0, context, self._certificate(at, evidence))
 
     def push(
         self, psi: ArrayLike | None = None, s0: ArrayLike | None = None, context: ArrayLike | None = None

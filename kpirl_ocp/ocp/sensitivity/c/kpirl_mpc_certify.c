@@ -67,9 +67,13 @@ void kpirl_mpc_kkt_pull(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *functi
   for (i = 0; i < k->dimensions.n_context; ++i) by->context[i] = (real)NAN;
 }
 
-static void negate(real *values, int count) {
+/* Gradients of a function of x with a slope, from derivatives of the weighted conditions; free entries of s_0 are decisions. */
+static void add_slope(const kpirl_mpc_kkt *k, const real *slope, const kpirl_mpc_by_parameters *by) {
   int i;
-  for (i = 0; i < count; ++i) values[i] = -values[i];
+  for (i = 0; i < k->dimensions.n_parameters; ++i) by->psi[i] = -by->psi[i];
+  for (i = 0; i < k->dimensions.n_context; ++i) by->context[i] = -by->context[i];
+  for (i = 0; i < k->system.n_states; ++i) by->s0[i] = slope[i] - by->s0[i];
+  for (i = 0; i < k->system.n_free; ++i) by->s0[k->system.free[i]] = 0;
 }
 
 /* ---- along the predicted plan ------------------------------------------------------------------------------------ */
@@ -204,7 +208,6 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
   evidence->qualification = k->qualification;
   evidence->step = evidence->change = evidence->kink = (real)INFINITY;
   evidence->margin = (real)NAN;
-  memset(k->tangent, 0, (size_t)n_w * sizeof(real));
   finite = kpirl_mpc_all_finite(adjoint->x, n_w) && (!direction || kpirl_mpc_all_finite(direction, n_w));
   if (finite) {
     look_around(k, nearby, core, slope, direction, evidence);
@@ -214,9 +217,7 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
   kpirl_mpc_kkt_pull(k, function, adjoint, by);
   if (finite)
     evidence->kink = kpirl_mpc_worse(evidence->kink, kpirl_mpc_kink_in_parameters(k, core, function, adjoint, by));
-  negate(by->psi, k->dimensions.n_parameters);
-  negate(by->s0, k->system.n_states);
-  negate(by->context, k->dimensions.n_context);
+  add_slope(k, slope, by);
 }
 
 /* ---- several -------------------------------------------------------------------------------------------------------- */

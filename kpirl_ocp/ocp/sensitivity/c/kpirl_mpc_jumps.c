@@ -10,18 +10,22 @@ static const real ROUNDING = (real)1e-12;  /* of the conditions, relative, with 
 static const real SMOOTH = (real)1e-4;     /* a relative difference of derivatives that is no kink */
 static const real SMALL = (real)1e-3;      /* share of the largest parameter that the others move by at least */
 
+/* The largest absolute value of one of `count` functions at so many steps, or `least` where that is larger. */
+static real largest_at(const real *values, int count, int steps, real least) {
+  for (; steps > 0; --steps, values += count) least = kpirl_mpc_larger(kpirl_mpc_abs(*values), least);
+  return least;
+}
+
 /* The largest relative jump at 0 of `count` functions of a step, from their values at steps 0, +h, -h, +h/10 and -h/10, one after
  * the other; those much smaller than `whole` may be rounding. */
 static real jump_of(const real *values, int count, real whole) {
   real worst = 0;
   int i;
   for (i = 0; i < count; ++i) {
-    const real here = values[i], *far = values + count + i, *near = far + 2 * count;
+    const real *far = values + count + i, *near = far + 2 * count;
     const real left_over =
         kpirl_mpc_abs(near[0] - near[count] - KPIRL_MPC_CLOSER * (far[0] - far[count])) / (1 - KPIRL_MPC_CLOSER);
-    const real all[5] = {here, far[0], far[count], near[0], near[count]};
-    const real size = kpirl_mpc_larger(kpirl_mpc_largest(all, 5), KPIRL_MPC_FLOOR * whole);
-    worst = kpirl_mpc_worse(worst, kpirl_mpc_over(left_over, size));
+    worst = kpirl_mpc_worse(worst, kpirl_mpc_over(left_over, largest_at(values + i, count, 5, KPIRL_MPC_FLOOR * whole)));
   }
   return worst;
 }
@@ -126,9 +130,8 @@ static real difference(const real *values, int count, real whole) {
   real worst = 0;
   int i;
   for (i = 0; i < count; ++i) {
-    const real all[3] = {values[i], values[count + i], values[2 * count + i]};
-    const real size = kpirl_mpc_larger(kpirl_mpc_largest(all, 3), KPIRL_MPC_FLOOR * whole);
-    worst = kpirl_mpc_worse(worst, kpirl_mpc_over(kpirl_mpc_abs(all[1] - all[2]), size));
+    const real jump = kpirl_mpc_abs(values[count + i] - values[2 * count + i]);
+    worst = kpirl_mpc_worse(worst, kpirl_mpc_over(jump, largest_at(values + i, count, 3, KPIRL_MPC_FLOOR * whole)));
   }
   return worst;
 }

@@ -75,6 +75,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
   s->sizes = take(&from, n_w);
   s->roots = take(&from, (size_t)s->n_decisions);
   s->lengths = take(&from, m);
+  s->moved = take(&from, KPIRL_MPC_FEW * (size_t)s->n_decisions);
   s->stiffness = take(&from, m);
   s->scratch = take(&from, (size_t)kpirl_mpc_system_scratch(s));
   take_factors(&from, s, &s->factors);
@@ -290,6 +291,7 @@ int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *
   else
     kpirl_mpc_kkt_evaluate(k, core);
   k->distance = 0;
+  memset(k->tangent, 0, (size_t)kpirl_mpc_system_n_point(&k->system) * sizeof(real));
   if (!kpirl_mpc_kkt_select(k, NULL)) return 0;
   kpirl_mpc_kkt_polish(k, core);
   return 1;

@@ -14,28 +14,32 @@ real kpirl_mpc_over(real value, real size) { return value / (size > 0 ? size : 1
 
 real kpirl_mpc_worse(real a, real b) { return isnan(a) || isnan(b) ? (real)INFINITY : kpirl_mpc_larger(a, b); }
 
-/* |F|' (n_x, n_s) */
-static void absolute_transpose(const real *restrict F, int n_s, int n_x, real *restrict Ft) {
-  int i;
-  kpirl_mpc_transpose(F, n_s, n_x, Ft);
-  for (i = 0; i < n_s * n_x; ++i) Ft[i] = kpirl_mpc_abs(Ft[i]);
+/* The absolute values of the first `count` of the `rows` of each column. */
+static void absolute_rows(const real *restrict from, int rows, int columns, int count, real *restrict to) {
+  int i, j;
+  for (j = 0; j < columns; ++j, from += rows, to += count)
+    for (i = 0; i < count; ++i) to[i] = kpirl_mpc_abs(from[i]);
 }
 
-/* values (n_x) += the diagonal of |F|' |H| |F|, of the first n_s rows and columns of H (n, n), by its lower triangle. work: n_s + n_x
- * numbers. */
-static void add_diagonal(const real *restrict Ft, int n_s, int n_x, const real *restrict H, int n, real *restrict work,
-                         real *restrict values) {
-  real *weights = work, *sums = weights + n_s;
-  int a, b, i;
-  for (a = 0; a < n_s; ++a, H += n + 1, Ft += n_x) {
-    int count = n_s - a;
-    while (count > 0 && H[count - 1] == 0) --count; /* in most problems most are */
-    for (b = 0; b < count; ++b) weights[b] = (b == 0 ? 1 : 2) * kpirl_mpc_abs(H[b]);
-    if (count == 0) continue;
-    memset(sums, 0, (size_t)n_x * sizeof(real));
-    kpirl_mpc_times_vector(Ft, n_x, count, weights, sums);
-    for (i = 0; i < n_x; ++i) values[i] += Ft[i] * sums[i];
-  }
+/* How many of the first n_s rows and columns of H (n, n) go up to the last that is not zero: in many problems few. */
+static int filled(const real *H, int n_s, int n) {
+  int a, count = n_s;
+  for (; count > 0; --count)
+    for (a = 0; a < count; ++a)
+      if (H[count - 1 + a * n] != 0) return count;
+  return 0;
+}
+
+/* values (n_x) += the diagonal of |F|' |H| |F|, of the first n_s rows and columns of H (n, n). work: n_s (n_s + 2 n_x) numbers. */
+static void add_diagonal(const real *F, int n_s, int n_x, const real *H, int n, real *work, real *values) {
+  const int count = filled(H, n_s, n);
+  real *absolute_H = work, *absolute_F = absolute_H + count * count, *product = absolute_F + count * n_x;
+  int i;
+  absolute_rows(H, n, count, count, absolute_H);
+  absolute_rows(F, n_s, n_x, count, absolute_F);
+  memset(product, 0, (size_t)(count * n_x) * sizeof(real));
+  kpirl_mpc_times(absolute_H, count, count, absolute_F, n_x, product);
+  for (i = 0; i < n_x; ++i) values[i] += kpirl_mpc_dot(absolute_F + i * count, product + i * count, count);
 }
 
 static int is_diagonal(const real *H, int n_s, int n) {
@@ -57,19 +61,16 @@ static void add_squares(const real *restrict F, int n_s, int n_x, const real *H,
 
 void kpirl_mpc_system_curvature(const kpirl_mpc_system *s, real *curvature) {
   const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
-  real *Ft = s->scratch, *work = Ft + n_s * n_x;
   int t, i;
   for (t = 0; t <= T; ++t) {
     const int n = t < T ? n_x : n_s, after = t + 1 < T ? n_x : n_s;
     const real *H = s->H + (size_t)t * n_x * n_x, *next = H + n_x * n_x, *F = s->F + (size_t)t * n_s * n_x;
     for (i = 0; i < n; ++i) curvature[t * n_x + i] = kpirl_mpc_abs(H[i + i * n]);
     if (t == T) break;
-    if (is_diagonal(next, n_s, after)) {
-      add_squares(F, n_s, n_x, next, after, work, curvature + t * n_x);
-      continue;
-    }
-    absolute_transpose(F, n_s, n_x, Ft);
-    add_diagonal(Ft, n_s, n_x, next, after, work, curvature + t * n_x);
+    if (is_diagonal(next, n_s, after))
+      add_squares(F, n_s, n_x, next, after, s->scratch, curvature + t * n_x);
+    else
+      add_diagonal(F, n_s, n_x, next, after, s->scratch, curvature + t * n_x);
   }
 }
 
@@ -245,23 +246,30 @@ static void row_variances(kpirl_mpc_system *s, real *values) {
   for (i = 0; i < s->n_bounds; ++i) values[i] = of_x[s->entries[i]];
 }
 
-/* The length of one row. */
-static real length_of(const kpirl_mpc_system *s, int row) {
-  const int decision = kpirl_mpc_decision_of(s, row);
-  real *by = s->scratch + kpirl_mpc_system_inner_scratch(s);
-  if (decision >= 0) return 1 / s->roots[decision];
-  kpirl_mpc_moved_by_decisions(s, row, by + s->n_decisions, by);
-  return kpirl_mpc_length(by, s->n_decisions);
+/* The length of one row, which is no bound of a decision, and how decisions move it. */
+static real length_of(const kpirl_mpc_system *s, int row, real *moved) {
+  kpirl_mpc_moved_by_decisions(s, row, s->scratch + kpirl_mpc_system_inner_scratch(s), moved);
+  return kpirl_mpc_length(moved, s->n_decisions);
 }
 
 /* Row by row, of which those that are no bounds of decisions take n_s n_x products a stage, or by one covariance, which takes
  * n_s n_x (n_s + n_x). */
 int kpirl_mpc_find_lengths(kpirl_mpc_system *s) {
-  const int m = kpirl_mpc_system_n_rows(s), many = kpirl_mpc_system_other_rows(s) > 2 * s->n_states + s->n_actions;
+  const int m = kpirl_mpc_system_n_rows(s), many = kpirl_mpc_system_other_rows(s) > KPIRL_MPC_FEW;
+  real *moved = s->moved;
   int i, immovable = 0;
   if (many) row_variances(s, s->lengths);
   for (i = 0; i < m; ++i) {
-    const real length = s->active[i] == 0 ? 1 : many ? kpirl_mpc_root(s->lengths[i]) : length_of(s, i);
+    const int decision = s->active[i] != 0 ? kpirl_mpc_decision_of(s, i) : -1;
+    real length = 1;
+    if (decision >= 0) {
+      length = 1 / s->roots[decision];
+    } else if (s->active[i] != 0 && many) {
+      length = kpirl_mpc_root(s->lengths[i]);
+    } else if (s->active[i] != 0) {
+      length = length_of(s, i, moved);
+      moved += s->n_decisions;
+    }
     immovable |= length == 0;
     s->lengths[i] = length == 0 ? 1 : length;
   }

@@ -189,16 +189,16 @@ static void inverse(const void *self, const real *v, real *product) {
   for (k = 0; k < n; ++k) z[k] = with->held[k] * (v[k] - z[k]) / (1 + DEPENDENCE);
 }
 
-/* A row of V. */
-static void row_in_units(const kpirl_mpc_system *s, int row, real *work, real *by) {
+/* The next row of V. */
+static void add_row(const kpirl_mpc_system *s, int row, few_rows *with) {
+  const size_t first = (size_t)with->n * with->count++;
   int i;
-  kpirl_mpc_moved_by_decisions(s, row, work, by);
-  for (i = 0; i < s->n_decisions; ++i) by[i] /= s->lengths[row];
+  for (i = 0; i < with->n; ++i) with->V[first + i] = s->moved[first + i] / s->lengths[row];
 }
 
 real kpirl_mpc_system_few_rows(const kpirl_mpc_system *s, const real *start) {
-  const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s), n = s->n_decisions;
-  real *work = s->scratch + kpirl_mpc_system_inner_scratch(s), *vector = work + n_w + m, *basis, value;
+  const int m = kpirl_mpc_system_n_rows(s), n = s->n_decisions;
+  real *vector = vectors_of(s), *basis, value;
   few_rows with;
   int i;
   with.n = n;
@@ -213,7 +213,7 @@ real kpirl_mpc_system_few_rows(const kpirl_mpc_system *s, const real *start) {
     if (s->active[i] == 0) continue;
     vector[decision < 0 ? n + with.count : decision] = start[i];
     if (decision < 0)
-      row_in_units(s, i, work, with.V + (size_t)n * with.count++);
+      add_row(s, i, &with);
     else if (with.held[decision]++ > 0)
       return 0; /* the same row twice */
   }

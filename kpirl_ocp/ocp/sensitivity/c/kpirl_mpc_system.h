@@ -35,6 +35,8 @@ typedef struct kpirl_mpc_system {
   real *sizes;          /* (n_w) of the entries of x */
   real *roots;          /* (n_decisions) */
   real *lengths;        /* (m), 1 for rows that no decision moves */
+  real *moved;          /* (KPIRL_MPC_FEW, n_decisions) kpirl_mpc_moved_by_decisions of active rows that are no bounds of decisions,
+                           where there are no more */
   real *stiffness;      /* (m) S, zero where not active */
   kpirl_mpc_factors factors;
   real *scratch; /* kpirl_mpc_system_scratch numbers */
@@ -53,6 +55,8 @@ static inline int kpirl_mpc_system_n_point(const kpirl_mpc_system *s) {
 static inline int kpirl_mpc_system_n_rows(const kpirl_mpc_system *s) {
   return s->n_bounds + s->horizon * (s->n_path + s->n_equality) + s->n_terminal + s->n_terminal_equality;
 }
+
+enum { KPIRL_MPC_FEW = 32 };
 
 int kpirl_mpc_system_n_triple(const kpirl_mpc_system *system);
 int kpirl_mpc_system_scratch(const kpirl_mpc_system *system);
@@ -106,8 +110,8 @@ real kpirl_mpc_point_norm(const kpirl_mpc_system *system, const real *x);
 real kpirl_mpc_system_softest(const kpirl_mpc_system *system, int negative, const real *start, real *direction);
 
 /* The smallest singular value of the active rows, scaled to length one. start: (m) random numbers. Overwrites the factors. The
- * same without factors, where at most KPIRL_MPC_FEW active rows are no bounds of decisions; and how many are not. */
-enum { KPIRL_MPC_FEW = 32 };
+ * same without factors, where at most KPIRL_MPC_FEW active rows are no bounds of decisions; and how many are not. Of rows by their
+ * lengths, and by `moved`, from where the factors were made. */
 real kpirl_mpc_system_qualification(kpirl_mpc_system *system, const real *start);
 real kpirl_mpc_system_few_rows(const kpirl_mpc_system *system, const real *start);
 int kpirl_mpc_system_other_rows(const kpirl_mpc_system *system);
@@ -119,7 +123,7 @@ int kpirl_mpc_system_other_rows(const kpirl_mpc_system *system);
 int kpirl_mpc_decision_of(const kpirl_mpc_system *system, int row);
 void kpirl_mpc_moved_by_decisions(const kpirl_mpc_system *system, int row, real *work, real *by);
 
-/* Those of the active rows; returns whether no decision moves some of them, whose length is 1. */
+/* Those of the active rows, and `moved`; returns whether no decision moves some of them, whose length is 1. */
 int kpirl_mpc_find_lengths(kpirl_mpc_system *system);
 
 int kpirl_mpc_system_inner_scratch(const kpirl_mpc_system *system); /* that products and factors take, at the front */
