@@ -50,6 +50,13 @@ def test_a_primitive_without_force_falls_to_its_goal_as_a_critically_damped_spri
     np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 2.0, rtol=0.05)  # of first order
 
 
+def test_neighbouring_kernels_cross_at_half_their_height():
+    crossing = np.exp(-4.0 * np.array([0.25]))  # the phase x half-way between the first two of three kernels
+    heights = np.array([0.5, 0.5, 0.5**9])
+    found = movement_primitives._features(crossing, 3)
+    np.testing.assert_allclose(found, [crossing * heights / heights.sum()], rtol=1e-12)
+
+
 def test_no_paths_and_no_kernels_are_refused():
     with pytest.raises(ProblemError, match="paths and at least one kernel"):
         MovementPrimitive.fit([], 5)

@@ -141,6 +141,24 @@ def test_two_weights_of_one_step_are_known_up_to_their_common_scale_alone():
     np.testing.assert_allclose(across, [[-1.645 * 0.01 * (Q + R) ** 2 / 3, 1.645 * 0.01 * (Q + R) ** 2 / 3]], rtol=1e-3)
 
 
+@pytest.mark.parametrize(("share", "bounded"), [(1e-8, True), (1e-4, False)])
+def test_an_interval_is_infinite_as_soon_as_a_combination_has_a_part_that_nothing_determines(share, bounded):
+    found = identify(one_step(), [planned()], [Q, R], noise=0.01)
+    combination = np.array([R, -Q]) + share * np.array([Q, R])  # across and along the scale that both have in common
+    assert np.isfinite(found.intervals(0.9, combination)).all() == bounded
+
+
+def test_the_decrement_is_the_gauss_newton_step_in_standard_deviations_of_the_posterior():
+    problem, noise, spread, off = one_step(), 0.3, np.array([0.7, 2.0]), np.array([0.1, -0.05])
+    seen = [planned(goal=GOAL), planned(goal=-GOAL)]
+    seen = [Demonstration(d.s0, d.context, np.add(d.observations, [[0], [e]])) for d, e in zip(seen, off, strict=True)]
+    found = identify(problem, seen, [Q, R], spread, noise)
+    jacobian = np.vstack([slope(goal=GOAL), slope(goal=-GOAL)])
+    precision = jacobian.T @ jacobian / noise**2 + np.diag(1 / spread**2)
+    step = np.linalg.solve(precision, jacobian.T @ off / noise**2)
+    np.testing.assert_allclose(found.decrement, np.sqrt(step @ precision @ step), rtol=1e-8)
+
+
 def test_fewer_directions_are_known_with_more_noise_and_none_beyond_the_spread():
     case = CASES["pendulum"]()
     found = identify(case.problem, [case.demonstration], case.psi, noise=1e-3)

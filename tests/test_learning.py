@@ -10,7 +10,7 @@ from kpirl_ocp.irl.cases.examples import lqr, pendulum
 from kpirl_ocp.irl.cases.tasks import as_demonstration, demonstrate
 from kpirl_ocp.irl.learning.evaluation import evaluate, relative_distance
 from kpirl_ocp.irl.learning.learn import Learner, learn
-from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Descent, Point
+from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Box, Descent, Point
 from kpirl_ocp.ocp.models import RBF, KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 
@@ -58,6 +58,19 @@ def test_lbfgs_shortens_a_step_whose_gradient_cannot_be_certified():
 
     point = run(LBFGS(first_step=5.0), guarded, np.array([2.0]), 20)
     assert 0.9 <= point.psi[0] < 1.0
+
+
+def test_lbfgs_forgets_a_pair_that_curves_down_on_the_entries_that_may_move():
+    asked = []
+
+    def evaluate(psi):
+        asked.append(psi)
+        return Point(psi, float(psi[0] + 0.5 * psi[1] ** 2), np.array([1.0, psi[1]]))
+
+    held, pair = Box(lower=np.array([0.0, -9.0])), (np.array([1.0, 1.0]), np.array([2.0, -1.0]))
+    found, _ = LBFGS().step(evaluate, Point(np.array([0.0, 1.0]), 0.5, np.ones(2)), (pair,), held)
+    np.testing.assert_array_equal(found.psi, [0.0, 0.0])
+    assert len(asked) == 1
 
 
 def test_lbfgs_stays_at_a_minimum():
