@@ -75,6 +75,13 @@ def test_keypoints_that_stand_still_are_not():
     assert "stand still in 8 of 8 clips" in found[0]
 
 
+def test_keypoints_that_tremble_stand_still():
+    def trembling(clip):  # by a hundredth of an image's half to either side
+        return np.broadcast_to(0.01 * (np.arange(len(clip))[:, None, None] % 2) - 0.005, (len(clip), 2, 2))
+
+    assert "stand still in 8 of 8 clips" in faults(Pointing(trembling), CLIPS)[0]
+
+
 def test_keypoints_that_move_elsewhere_are_not():
     found = faults(Pointing(lambda clip: -on_square(clip)), CLIPS)
     assert len(found) == 1
@@ -84,6 +91,12 @@ def test_keypoints_that_move_elsewhere_are_not():
 def test_clips_in_which_nothing_moves_say_nothing():
     still = np.repeat(CLIPS[0][:1], 6, axis=0)
     assert "nothing moves" in faults(Pointing(on_square), [still])[0]
+
+
+def test_the_noise_of_a_camera_is_no_motion():
+    noise = np.random.default_rng(0).integers(-10, 11, (6, *CLIPS[0].shape[1:]))
+    noisy = np.clip(CLIPS[0][:1] + noise, 0, 255).astype(np.uint8)
+    assert "nothing moves" in faults(Pointing(on_square), [noisy])[0]
 
 
 def test_a_trained_detector_is_good_and_training_goes_on_from_it(detector):

@@ -110,6 +110,17 @@ def test_normalised_training_data_have_mean_zero_and_deviation_one_and_a_constan
     np.testing.assert_allclose(kept["output_scale"], changes.std(axis=0, ddof=1), rtol=1e-5)
 
 
+def test_velocities_that_are_rounding_are_scaled_as_if_they_were_a_hundredth_of_a_radian_per_second():
+    data = np.random.default_rng(3).normal(0.0, 1.0, (200, 13))
+    resting, still = COORDINATES + JOINTS, COORDINATES + JOINTS + 1
+    data[:, resting], data[:, still] = 1e-4 * data[:, resting], 0.0
+    model = DynamicsModel(COORDINATES, JOINTS)
+    model.normalise(torch.from_numpy(data).float(), torch.from_numpy(data[:, :COORDINATES]).float())
+    scale = model.get_buffer("input_scale").numpy()
+    np.testing.assert_allclose(scale[[resting, still]], [1e-2, 1.0], rtol=1e-6)
+    assert scale[still + 1] > 0.5
+
+
 def test_a_rollout_feeds_predictions_back_and_integrates_the_joints():
     model = random_model()
     z, theta, velocity, _ = inputs()
@@ -340,6 +351,12 @@ def test_a_motion_played_backwards_obeys_the_same_dynamics():
         again = backwards(back)
         np.testing.assert_array_equal(again.keypoints, there.keypoints)
         np.testing.assert_allclose(again.actions, there.actions, rtol=0, atol=1e-12)
+
+
+def test_a_motion_played_backwards_has_the_velocities_of_one():
+    slow = replace(TRAIN[0], velocities=np.linspace(-0.01, 0.01, TRAIN[0].velocities.size).reshape(-1, JOINTS) ** 3)
+    np.testing.assert_array_equal(backwards(slow).velocities[0], -slow.velocities[-1])
+    np.testing.assert_array_equal(backwards(backwards(slow)).velocities, slow.velocities)
 
 
 def test_augmented_data_are_forwards_and_backwards_without_and_with_noise():

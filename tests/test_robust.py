@@ -143,6 +143,13 @@ def test_scores_of_the_teachers_keypoints_cost_nothing():
     assert terms["in_view"] == pytest.approx(np.log1p(np.exp(-10)), rel=1e-3)
 
 
+def test_a_keypoint_beyond_the_edge_of_the_image_has_no_place_to_learn():
+    places = [[[0.125, -0.375], [1.5, 0.2]]]
+    terms = loss_terms(scores_at([[[0.125, -0.375], [0.9, 0.2]]]), views(places, [True]))
+    assert terms["heatmap"] == pytest.approx(0, abs=1e-5)
+    assert terms["place"] == pytest.approx(0, abs=1e-2)
+
+
 def test_without_the_bottle_only_the_confidence_counts():
     places = [[[0.125, -0.375]]]
     terms = loss_terms(scores_at([[[0.5, 0.5]]], height=2.0), views(places, [False]))

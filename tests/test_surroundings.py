@@ -7,6 +7,7 @@ pytest.importorskip("cv2")
 pytest.importorskip("pybullet")
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.perception.data import surroundings
 from kpirl_ocp.perception.data.collection import collect
 from kpirl_ocp.perception.data.motions import HandPlacing
 from kpirl_ocp.perception.data.recordings import read_hand
@@ -47,6 +48,17 @@ def test_a_plain_wall_changes_the_wall_alone():
         assert len(np.unique(after.rgb[wall], axis=0)) == 1
         assert (after.rgb[wall] != 255).any()
         assert after.place is before.place
+
+
+def test_places_follow_the_shaken_camera_to_a_fraction_of_a_pixel():
+    place, pixels = np.array([34.3, 29.8]), np.arange(SIDE) + 0.5
+    heights = np.exp(-((pixels - place[0]) ** 2 + (pixels[:, None] - place[1]) ** 2) / (2 * 4.0**2))
+    blob = Frame(np.repeat(np.round(250 * heights)[..., None], 3, 2).astype(np.uint8), heights > 2, place)
+    for seed in range(6):
+        (shaken,) = surroundings._shaken([blob], rng(seed))
+        weights = shaken.rgb[..., 0] / shaken.rgb[..., 0].sum()
+        centre = np.array([weights.sum(axis=0) @ pixels, weights.sum(axis=1) @ pixels])
+        np.testing.assert_allclose(centre, shaken.place, atol=0.02)
 
 
 @pytest.mark.parametrize("seed", range(6))
