@@ -153,7 +153,7 @@ def test_a_ceiling_is_within_what_a_core_can_do(bench):
 # Time
 
 
-def test_contenders_take_turns_until_each_has_spent_its_budget(bench, monkeypatch):
+def test_contenders_take_turns_until_each_has_spent_its_budget_or_been_called_often_enough(bench, monkeypatch):
     timing, log = bench("timing"), []
     monkeypatch.setattr(timing, "seconds", lambda call: (call(), 0.0))
     times = {"quick": 0.006, "slow": 1.0}
@@ -165,6 +165,7 @@ def test_contenders_take_turns_until_each_has_spent_its_budget(bench, monkeypatc
     assert found["slow"].calls == 1
     assert found["quick"].calls == 3
     assert log[:3] == ["quick", "slow", "quick"]
+    assert timing.interleaved({"quick": contender("quick")}, budget=1.0, most=2)["quick"].calls == 2
 
 
 def test_a_timing_shows_median_and_spread_in_milliseconds(bench):

@@ -64,6 +64,10 @@ def test_out_of_view_is_low_for_all_keypoints(detector, tmp_path):
 
 def test_a_median_over_time_has_no_object():
     assert (without_object([film(3, frames=15).images])[0][..., 0] > 200).mean() < 0.02
+    passing = np.full((5, 10, 10, 3), 90, np.uint8)
+    for index, image in enumerate(passing):
+        image[:, 2 * index : 2 * index + 2] = 255
+    np.testing.assert_array_equal(without_object([passing]), 90)
 
 
 def test_keypoints_on_what_moves_are_good():

@@ -304,6 +304,20 @@ def test_squared_gains_of_an_integrator_count_the_actions_so_far():
     np.testing.assert_allclose(stiffness(np.eye(4), gains, 0.5 * np.ones((4, 2))), gains.ravel())
 
 
+def test_squared_gains_of_a_pendulum_are_the_squares_of_finite_differences():
+    case, h = CASES["pendulum"](), 1e-6
+    actions = np.linspace(-1, 1, case.problem.horizon)[:, None]
+
+    def seen(change):
+        states = case.problem.simulate(case.demonstration.s0, actions + change, case.psi).states
+        return np.array(case.problem.observe(states.T)).T[1:]
+
+    steps = h * np.eye(case.problem.horizon)[..., None]
+    differences = np.array([(seen(step) - seen(-step)) / (2 * h) for step in steps])
+    gains = squared_gains(case.problem, case.problem.simulate(case.demonstration.s0, actions, case.psi), case.psi)
+    np.testing.assert_allclose(gains, (differences**2).sum(axis=0), rtol=1e-7)
+
+
 def test_squared_gains_know_the_parameters_context_and_schedule_of_the_dynamics():
     s, u, psi, c, d = (ca.SX.sym(name) for name in ("s", "u", "psi", "c", "d"))
     problem = OCP.from_expressions(
