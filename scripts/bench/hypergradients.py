@@ -9,7 +9,7 @@ from bench.part import Numbers, Part, Table
 from bench.problem import random_network
 from bench.race import Result, fastest, race
 from bench.settings import Preset
-from kpirl_ocp.irl.cases.network_cases import NetworkCase
+from kpirl_ocp.irl.cases.network_cases import N_Q, N_Z, NetworkCase
 
 
 @dataclass
@@ -82,4 +82,4 @@ def _cells(results: dict[str, Result]) -> list[str]:
 
 
 def _layers(preset: Preset) -> str:
-    return "-".join(map(str, (29, *preset.hidden, 8)))
+    return "-".join(map(str, (N_Z + 3 * N_Q, *preset.hidden, N_Z)))

@@ -21,6 +21,7 @@ from kpirl_ocp.perception.detector.keypoints import to_pixels
 from kpirl_ocp.perception.plant.asynchronous_plant import AsynchronousPlant
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant, Disturbance
 from kpirl_ocp.perception.plant.starts import RATE, placing_starts
+from kpirl_ocp.perception.scene.camera import Camera
 from kpirl_ocp.perception.scene.scene import Scene
 from kpirl_ocp.types import Array, Demonstration
 from reproduction.contenders import PLACING, Contender, in_a_name, iterations_of
@@ -29,7 +30,7 @@ from reproduction.learning import Lesson, learn_or_fail, unpacked
 from reproduction.settings import STARTS, Preset
 from reproduction.sweep import Job, Result
 
-SIZE = 240  # of the images [pixels]
+SIZE = Camera().height  # of the images [pixels]
 SUCCESS = 8.0  # the middle of the bottle ends within this of its goal [pixels]; 8 are about 31 mm
 
 
