@@ -27,8 +27,16 @@ def largest(values: Array) -> float:
     return float(np.abs(values).max(initial=0.0))
 
 
+def refuse_masked(name: str, value: object) -> None:
+    """Raise ProblemError for masked entries: numpy hands over the numbers under the mask."""
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        count = int(np.ma.count_masked(value))
+        raise ProblemError(f"{name} must be an array of numbers; {count} of them masked: fill them, or leave them out.")
+
+
 def floats(name: str, value: ArrayLike) -> Array:
     """A value as an array of floating-point numbers, whatever their type. Raises ProblemError for what has none."""
+    refuse_masked(name, value)
     if isinstance(value, np.ndarray) and value.dtype == float:
         return value
     try:

@@ -41,6 +41,21 @@ STATEMENTS = {
     "action at the end": ({"terminal_constraint": U}, "terminal_constraint depends on u: "),
     "action in the observation": ({"observation": U}, "observation depends on u: "),
     "one symbol twice": ({"parameters": U}, "u is among both action and parameters: a symbol has one place"),
+    "one symbol twice in a column": (
+        {"state": ca.vertcat(SX[0], SX[1], SX[0]), "action": None, "dynamics": ca.vertcat(SX, 0)},
+        "state holds v_0 more than once: a symbol has one place",
+    ),
+    "masked schedule": (
+        {"stage": P, "schedule": np.ma.masked_equal(np.arange(13.0)[:, None], 3.0)},
+        "schedule must be an array of numbers; 1 of them masked",
+    ),
+    "masked bound": (
+        {"state_bounds": (np.ma.masked_less(np.array([-1.0, 1.0]), 0), 3)},
+        "state_bounds must be an array of numbers; 1 of them masked",
+    ),
+    "bounds of digits": ({"action_bounds": ("-1", "1")}, r"action_bounds must be \(lower, upper\)"),
+    "soft as a row": ({"soft": Soft(S.T, 1.0)}, r"soft.constraint must be a column, got the shape \(1, 2\)"),
+    "soft at any price": ({"soft": Soft(S[0], np.inf)}, "soft.linear must not be negative, nor infinity or NaN"),
     "static that is a parameter": (
         {"parameters": Q, "static": Q, "terminal_cost": Q},
         "q is among both parameters and static",

@@ -102,6 +102,13 @@ def solve_and_linearise(
     return solver.solve(problem, s0, psi, context, guess), None
 
 
+def numbers_of(problem: OCP, s0: ArrayLike, psi: ArrayLike, context: ArrayLike) -> tuple[Array, Array, Array]:
+    """The three as float64 vectors. Raises ProblemError for a problem that is none, and for wrong lengths."""
+    if not isinstance(problem, OCP):
+        raise ProblemError(f"problem must be an OCP, got {shown(problem)}: solve(problem, s0, psi, context).")
+    return problem.inputs(s0, psi, context)
+
+
 def check_guess(guess: object) -> None:
     """Raise ProblemError for a guess that is neither Solution, Trajectory nor None."""
     if not isinstance(guess, Guess):

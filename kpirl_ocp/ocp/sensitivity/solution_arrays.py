@@ -11,13 +11,18 @@ import numpy as np
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.interior_point.results import solution_rows
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.types import Array, Solution, floats
 
 _FLOAT = np.dtype(float)
 
 
 def check_solution(problem: OCP, solution: Solution, name: str = "the solution") -> None:
-    """Raise ProblemError when the arrays of a solution do not fit the problem."""
+    """Raise ProblemError when the arrays of a solution do not fit the problem, or these are no problem and solution."""
+    if not isinstance(problem, OCP) or not isinstance(solution, Solution):
+        raise ProblemError(
+            f"an OCP and {name} of it are needed, in this order, got {shown(problem)}, {shown(solution)}."
+        )
     arrays, shapes = _arrays(problem)
     for (part, shape), array in zip(shapes.items(), arrays(solution), strict=True):
         if isinstance(array, np.ndarray) and array.shape == shape and array.dtype == _FLOAT:

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import IO, Any, cast
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, finalize
 
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.reporting import deaf_children
@@ -29,6 +29,7 @@ class ChildProcess:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
+        self._stop: Callable[[], Any] = lambda: None
         self._known: WeakKeyDictionary[OCP, int] = WeakKeyDictionary()
         self._sent = 0
 
@@ -64,6 +65,7 @@ class ChildProcess:
             self._sent = 0
             with deaf_children():
                 self._process, self._ends = _started()
+            self._stop = finalize(self, _stop, self._process, self._ends, os.getpid())  # at exit, too
         return self._ends
 
     def _number(self, problem: OCP) -> tuple[int, bool]:
@@ -75,11 +77,7 @@ class ChildProcess:
         return self._known[problem], True
 
     def _end(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-            for end in self._ends:
-                end.close()
+        self._stop()
         self._process = None
 
 
@@ -94,6 +92,16 @@ def _started() -> tuple[subprocess.Popen[bytes], tuple[Connection, Connection]]:
     )
     to, back = (cast("IO[bytes]", pipe).fileno() for pipe in (process.stdin, process.stdout))
     return process, (Connection(os.dup(to), readable=False), Connection(os.dup(back), writable=False))
+
+
+def _stop(process: subprocess.Popen[bytes], ends: tuple[Connection, Connection], owner: int) -> None:
+    """End the process that this one, not one that it was forked from, has started, and close the ends."""
+    if os.getpid() != owner:
+        return
+    process.kill()
+    process.communicate()
+    for end in ends:
+        end.close()
 
 
 def serve() -> None:

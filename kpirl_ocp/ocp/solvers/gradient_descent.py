@@ -19,7 +19,7 @@ from kpirl_ocp.ocp.problem.columns import by_trajectory, repeat, symbols_like
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost, reduced_symbols
 from kpirl_ocp.ocp.problem.scope import constant_bounds, refuse_features
-from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
+from kpirl_ocp.ocp.problem.solver import Guess, guess_actions, numbers_of
 from kpirl_ocp.ocp.problem.statement.checks import check_settings
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
 from kpirl_ocp.sizes import LONGEST
@@ -53,7 +53,7 @@ class GradientDescent:
         self, problem: OCP, s0: ArrayLike, psi: ArrayLike = (), context: ArrayLike = (), guess: Guess = None
     ) -> Solution:
         """Take the steps; see `Solver.solve`. ProblemError for state bounds or path constraints."""
-        start, psi, context = problem.inputs(s0, psi, context)
+        start, psi, context = numbers_of(problem, s0, psi, context)
         check_constraints(problem, self.project)
         output = _descent(problem, self)(guess_actions(problem, guess).T, start, psi, context).full().ravel()
         return audited(problem, self, psi, context, float(output[0]), output[1:])

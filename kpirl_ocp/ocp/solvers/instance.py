@@ -14,7 +14,7 @@ from kpirl_ocp.ocp.conditions.multiplier_estimates import estimate_multipliers
 from kpirl_ocp.ocp.conditions.program import limits_from, not_started, starting_point, trajectory_of, transcribe
 from kpirl_ocp.ocp.problem.layout import bound_multipliers, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess
+from kpirl_ocp.ocp.problem.solver import Guess, numbers_of
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 
@@ -31,7 +31,7 @@ class Instance:
     @classmethod
     def of(cls, problem: OCP, s0: ArrayLike, psi: ArrayLike, context: ArrayLike, guess: Guess) -> Instance:
         """The instance that `Solver.solve` is asked to solve; raises ProblemError for inputs that do not fit."""
-        numbers = problem.inputs(s0, psi, context)
+        numbers = numbers_of(problem, s0, psi, context)
         return cls(problem, *numbers, starting_point(problem, *numbers, guess))
 
     @property

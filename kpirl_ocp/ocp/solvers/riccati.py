@@ -23,7 +23,7 @@ from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.interior_point.machine_code import Compile
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives
+from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, numbers_of
 from kpirl_ocp.ocp.problem.statement.checks import check_settings
 from kpirl_ocp.types import Array, Solution
 
@@ -99,7 +99,7 @@ def _one(
     problem: OCP, s0: ArrayLike, psi: ArrayLike, context: ArrayLike, guess: Guess
 ) -> tuple[Array, Array, Array, list[Guess]]:
     """One solve for `Riccati.solve_each`."""
-    start, parameters, about = problem.inputs(s0, psi, context)
+    start, parameters, about = numbers_of(problem, s0, psi, context)
     return start[None], parameters[None], about[None], [guess]
 
 

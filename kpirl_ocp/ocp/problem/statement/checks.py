@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.sizes import LONGEST
-from kpirl_ocp.types import Array
+from kpirl_ocp.types import Array, refuse_masked
 
 Bounds = tuple[ArrayLike, ArrayLike]
 UNBOUNDED: Bounds = (-np.inf, np.inf)
@@ -27,6 +27,7 @@ def horizon_of(value: object) -> int:
 
 def numbers(name: str, value: ArrayLike) -> Array:
     """A float64 array. Raises ProblemError for anything that is not made of numbers."""
+    refuse_masked(name, value)
     try:
         array = np.asarray(value)
         if array.dtype.kind in "biuf":
@@ -92,8 +93,10 @@ def bounds_of(name: str, bounds: Bounds, shape: tuple[int, ...]) -> tuple[Array,
     """
     expected = " or ".join(dict.fromkeys(str(shape[i:]) for i in reversed(range(len(shape)))))
     try:
-        given = [np.asarray(bound, float) for bound in bounds]
+        given = [_bound(name, bound) for bound in bounds]
         lower, upper = (np.array(np.broadcast_to(_one_row(bound, shape), shape)) for bound in given)
+    except ProblemError:
+        raise
     except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError) as error:
         raise ProblemError(f"{name} must be (lower, upper), each a number or {expected}.") from error
     if not lower.size and any(np.isfinite(bound).any() for bound in given):
@@ -105,6 +108,15 @@ def bounds_of(name: str, bounds: Bounds, shape: tuple[int, ...]) -> tuple[Array,
             f"{name} must be numbers: no lower bound above its upper bound or at inf, no upper bound at -inf."
         )
     return lower, upper
+
+
+def _bound(name: str, value: ArrayLike) -> Array:
+    """Raises ValueError for words, also for those of a number."""
+    refuse_masked(name, value)
+    array = np.asarray(value)
+    if array.dtype.kind in "SU":
+        raise ValueError(f"{shown(value)} is no number")
+    return np.asarray(array, float)
 
 
 def check_function(name: str, function: object, sizes: tuple[int, ...], length: int | None) -> None:

@@ -51,10 +51,21 @@ def _check_places(symbols: Mapping[str, Expression]) -> None:
     """Raise ProblemError for a symbol that has two places."""
     places: dict[int, str] = {}
     for name, symbol in symbols.items():
+        for part in _repeated(symbol):
+            raise ProblemError(f"{name} holds {part.name()} more than once: a symbol has one place.")
         for part in ca.symvar(symbol):
             other = places.setdefault(identity(part), name)
             if other != name:
                 raise ProblemError(f"{part.name()} is among both {other} and {name}: a symbol has one place.")
+
+
+def _repeated(symbol: Expression) -> list[Expression]:
+    """The entries of a column of SX symbols that it holds before; CasADi refuses an MX that does."""
+    if not isinstance(symbol, ca.SX):
+        return []
+    entries = symbol.elements()
+    known = [identity(entry) for entry in entries]
+    return [entry for i, entry in enumerate(entries) if known[i] in known[:i]]
 
 
 def _symbol(name: str, symbol: Expression | None, kind: Any) -> Expression:

@@ -40,6 +40,8 @@ def soften(draft: Draft, soft: Soft) -> None:
         raise ProblemError(f"soft must be a Soft(constraint, linear=.., quadratic=..), got {shown(soft)}.")
     h = expression_of("soft.constraint", soft.constraint, draft.kind)
     check_rows("soft.constraint", h)
+    if not h.is_column():
+        raise ProblemError(f"soft.constraint must be a column, got the shape {h.shape}.")
     prices = [_price(draft, name, getattr(soft, name), h.numel()) for name in ("linear", "quadratic")]
     _check_prices(*prices)
     sigma = draft.kind.sym("slack", h.numel())
@@ -72,7 +74,7 @@ def _check_prices(linear: Expression, quadratic: Expression) -> None:
     values = {"linear": values_of(linear), "quadratic": values_of(quadratic)}
     known = [value for value in values.values() if value is not None]
     for name, value in values.items():
-        if value is not None and not (value >= 0).all():
-            raise ProblemError(f"soft.{name} must not be negative.")
+        if value is not None and not ((value >= 0) & (value < np.inf)).all():
+            raise ProblemError(f"soft.{name} must not be negative, nor infinity or NaN.")
     if len(known) == 2 and not (known[0] + known[1] > 0).all():
         raise ProblemError("soft needs a linear or quadratic price above zero for every row.")
