@@ -178,6 +178,17 @@ def test_the_least_and_the_largest_of_an_array_are_those_of_numpy_and_pass_over_
 
 
 @needs_compiler
+def test_the_smaller_and_the_larger_of_two_are_those_of_the_virtual_machine_to_the_last_bit(cache):
+    numbers = [np.nan, np.inf, -np.inf, 0.0, -0.0, 1.0, 1.5, -1.0]
+    pairs = np.array([[x, y] for x in numbers for y in numbers])
+    x, y = (ca.MX.sym(name, len(pairs)) for name in "xy")
+    function = ca.Function("pairs", [x, y], [ca.fmin(x, y), ca.fmax(x, y)])
+    for found, expected in zip(native.compiled(function)(*pairs.T), function(*pairs.T), strict=True):
+        np.testing.assert_array_equal(np.array(found), np.array(expected))
+        np.testing.assert_array_equal(np.signbit(np.array(found)), np.signbit(np.array(expected)))
+
+
+@needs_compiler
 def test_generated_products_and_copies_use_the_kernels_of_this_package(cache):
     x = ca.MX.sym("x", 20, 20)
     generator = ca.CodeGenerator("product.c")

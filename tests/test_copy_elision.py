@@ -97,3 +97,26 @@ def test_an_input_of_one_block_is_the_same_at_every_step(steps, backwards):
     found, expected = (ca.Function("along", [x, Y, c], outputs)(*point) for outputs in both)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(np.array(one), np.array(other))
+
+
+@pytest.mark.parametrize("steps", [1, 4, 40])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_running_array_is_handed_on_and_ends_with_the_last_step(steps, backwards):
+    x, y, low = (ca.MX.sym(name, 2, 3) for name in ("x", "y", "low"))
+    stage = ca.Function("stage", [x, y, low], [0.5 * x + y, ca.fmin(low, y)])
+    Y = ca.MX.sym("Y", 2, 3 * steps)
+    point = [np.random.default_rng(2).uniform(size=size) for size in ((2, 3), (2, 3 * steps), (2, 3))]
+    along = ca.Function("along", [x, Y, low], scan(stage, x, [Y], steps, backwards, running=[low]))
+    states, least = map(np.array, along(*point))
+    blocks = np.split(point[1], steps, axis=1)
+    np.testing.assert_array_equal(least, np.min([*blocks, point[2]], axis=0))
+    np.testing.assert_array_equal(states, np.array(scan_by_hand(point[0], blocks, backwards)))
+
+
+def scan_by_hand(x, blocks, backwards):
+    """0.5 x + y, side by side in the order of the blocks."""
+    states = []
+    for y in reversed(blocks) if backwards else blocks:
+        x = 0.5 * x + y
+        states.append(x)
+    return np.hstack(states[::-1] if backwards else states)

@@ -197,6 +197,19 @@ def test_inputs_that_move_within_the_clearance_cross_no_kink_and_leave_jacobians
 
 
 @every_activation
+def test_the_clearance_of_several_points_is_that_of_each(activation):
+    mlp, rng = random_mlp(activation), np.random.default_rng(1)
+    x, moves = ca.MX.sym("x", 9, 3), rng.uniform(0.01, 2.0, (9, 3))
+    nearest = [ca.fabs(arguments) for arguments in kinked(mlp.linearise(x)[1])]
+    evaluate = ca.Function("nearest", [x], [ca.vertcat(ca.MX(0, 3), *nearest)])
+    distances = evaluate(rng.normal(size=(9, 3)))
+    together = ca.evalf(clearance(mlp, ca.MX(ca.DM(moves)), ca.MX(distances))).full()
+    alone = [float(ca.evalf(clearance(mlp, ca.MX(ca.DM(moves[:, i])), ca.MX(distances[:, i])))) for i in range(3)]
+    np.testing.assert_array_equal(together, [alone])
+    assert len(set(alone)) == 3 or activation == "identity"
+
+
+@every_activation
 def test_columns_are_independent_points(activation):
     mlp = random_mlp(activation)
     x, dx, lam, dlam = (ca.MX.sym(name, n, 3) for name, n in [("x", 9), ("dx", 9), ("lam", 4), ("dlam", 4)])

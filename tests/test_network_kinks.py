@@ -75,3 +75,17 @@ def test_a_step_is_found_where_a_small_action_is_what_is_left_of_large_parameter
 def test_a_kink_of_a_network_is_found_however_large_its_weights(gap, certified):
     problem = problem_of(step_at(0.3, 1e6, "relu"), lambda psi: psi)
     assert gradient_at(problem, 0.3 + gap).certificate.certified is certified
+
+
+def test_a_kink_beside_one_of_several_demonstrations_leaves_the_proofs_of_the_others():
+    problem, method = (
+        problem_of(step_at(0.3, 1e6, "relu"), lambda psi: psi),
+        Unrolled(GradientDescent(8, 0.99), policy="flag"),
+    )
+    starts = [np.array([0.0, theta, 0.0]) for theta in (1.0, 0.0, -2.0, 3.0, 2.0)]
+    seen = [Demonstration(start, np.zeros(0), np.array([[0.0], [0.5], [1.0]])) for start in starts]
+    together = [result.certificate for result in method.batch(problem, seen, [0.3 + 1e-9])]
+    alone = [method(problem, demonstration, [0.3 + 1e-9]).certificate for demonstration in seen]
+    assert [certificate.certified for certificate in together] == [True, False, True, True, True]
+    assert [certificate.kink == 0 for certificate in together] == [True, False, True, True, True]
+    assert [str(certificate) for certificate in together] == [str(certificate) for certificate in alone]

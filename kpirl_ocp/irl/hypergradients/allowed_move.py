@@ -15,7 +15,7 @@ from __future__ import annotations
 import casadi as ca
 
 from kpirl_ocp.irl.hypergradients.unrolled_slopes import SMALL
-from kpirl_ocp.ocp.problem.columns import largest_by_row
+from kpirl_ocp.ocp.problem.columns import largest_block
 from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
@@ -31,19 +31,19 @@ def allowed_move(
     theta: Coefficients,
     extremes: ca.MX,
 ) -> ca.MX:
-    """The relative change of psi (n_psi, B) that is allowed for all B trajectories; 0 where no bound is known.
+    """The relative change (1, B) of psi (n_psi, B) that is allowed for each trajectory; 0 where no bound is known.
 
     Args:
         reduced: the cost of B trajectories.
         solver: the descent, of N steps of length alpha.
         at: linearisation at the last iterate.
         psi, theta: parameters and coefficients of the cost.
-        extremes: (n, 1) the smallest over all iterates, see `Rollout.extremes`.
+        extremes: (n, B) the smallest over all iterates, see `Rollout.extremes`.
     """
     if at.rollout.extremes is None:
-        return ca.MX(0.0)
-    moves = ca.vertcat(*map(largest_by_row, _moves(reduced, solver, at, psi, theta)))
-    sizes, nearest = -extremes[: moves.size1()], extremes[moves.size1() :]
+        return ca.MX.zeros(1, reduced.columns)
+    moves = ca.vertcat(*(largest_block(x, reduced.columns) for x in _moves(reduced, solver, at, psi, theta)))
+    sizes, nearest = -extremes[: moves.size1(), :], extremes[moves.size1() :, :]
     return reduced.passes.clearance(ca.fmax(moves, _SHARE * sizes), nearest)
 
 

@@ -27,11 +27,11 @@ from kpirl_ocp.irl.hypergradients.certificate import (
     enforce,
     nonfinite_failures,
 )
-from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
+from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.irl.hypergradients.own_passes import passes_agree
 from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
-from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descents, direction
+from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descent, direction, side_by_side
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_built
 from kpirl_ocp.ocp.conditions.steepness import nearly_constant_in_psi
@@ -177,43 +177,42 @@ def unrolled_gradients(
     checkpoint: bool = False,
 ) -> list[HypergradientResult]:
     """Descend N steps, then accumulate the gradient back through the last ones; demonstrations side by side."""
-    descents = Descents.toward(problem, solver, loss, demonstrations, psi, guesses)
-    numbers, contexts = descents.psi, descents.contexts.reshape(len(demonstrations), -1)
-    sweeps = [
-        _sweep(problem, solver, last, numbers, context, output)
-        for context, output in zip(contexts, _outputs(descents, last, checkpoint), strict=True)
+    descents = [
+        Descent.toward(problem, solver, loss, demonstration, psi, guess)
+        for demonstration, guess in zip(demonstrations, guesses or [None] * len(demonstrations), strict=True)
     ]
-    wrong = () if passes_agree(problem, len(demonstrations)) else (WRONG_DERIVATIVES,)
-    steady = last == solver.steps and all(sweep.steady for sweep in sweeps)
-    if steady and has_affine_steps(problem, loss, all(sweep.clear for sweep in sweeps)):
-        move = STEP * direction(numbers)
-        if all(nearly_constant_in_psi(problem, sweep.certificate.solution, move) for sweep in sweeps):
-            return [sweep.result(0.0, wrong) for sweep in sweeps]
-    ends = [
-        LossAt(problem, loss, data_of(loss, problem, demonstration), _plan(sweep.certificate.solution))
-        for demonstration, sweep in zip(demonstrations, sweeps, strict=True)
-    ]
-    found = zip(*((x.loss, x.gradient, x.terms(at)) for x, at in zip(sweeps, ends, strict=True)), strict=True)
-    kinks = descents.kinks(*map(np.array, found)).tolist()
-    return [
-        sweep.result(kink, (*wrong, *at.kinks(), *parameter_kinks(problem, sweep.certificate.solution)))
-        for sweep, at, kink in zip(sweeps, ends, kinks, strict=True)
-    ]
+    wrong = () if passes_agree(problem, len(descents)) else (WRONG_DERIVATIVES,)
+    outputs = _outputs(descents, last, checkpoint)
+    return [_certified(descent, last, output, wrong) for descent, output in zip(descents, outputs, strict=True)]
+
+
+def _certified(descent: Descent, last: int, output: Array, wrong: tuple[str, ...]) -> HypergradientResult:
+    """The result of one descent, which is taken again beside psi where that could show a kink.
+
+    wrong: failures that are known already.
+    """
+    problem, sweep = descent.problem, _sweep(descent, last, output)
+    solution = sweep.certificate.solution
+    gentle = last == descent.solver.steps and sweep.steady and has_affine_steps(problem, descent.loss, sweep.clear)
+    if gentle and nearly_constant_in_psi(problem, solution, STEP * direction(descent.psi)):
+        return sweep.result(0.0, wrong)
+    at = LossAt(problem, descent.loss, descent.observed.T, _plan(solution))
+    kink = descent.kink(sweep.loss, sweep.gradient, sweep.terms(at))
+    return sweep.result(kink, (*wrong, *at.kinks(), *parameter_kinks(problem, solution)))
 
 
 def gradient_alone(method: Unrolled, problem: OCP, demonstration: Demonstration, psi: ArrayLike) -> Array:
     """The gradient (n_psi,) without a certificate, for further losses at a plan of which one was certified."""
-    descents = Descents.toward(problem, method.solver, method.loss, [demonstration], psi)
-    (output,) = _outputs(descents, method.solver.steps, method.checkpoint)
+    descent = Descent.toward(problem, method.solver, method.loss, demonstration, psi)
+    (output,) = _outputs([descent], method.solver.steps, method.checkpoint)
     return output[_HEAD : _HEAD + problem.n_parameters]
 
 
-def _outputs(descents: Descents, last: int, checkpoint: bool) -> Array:
+def _outputs(descents: Sequence[Descent], last: int, checkpoint: bool) -> Array:
     """Outputs of `unrolled_function`, a row for each of the B descents."""
-    count = len(descents.observed) // (descents.problem.horizon + 1)
-    evaluate = call_built(_function, descents.problem, descents.solver, descents.loss, last, checkpoint, count)
-    psis = np.concatenate([descents.psi] * count)
-    (outputs,) = evaluate(descents.actions, descents.starts, psis, descents.contexts, descents.observed)
+    first, count = descents[0], len(descents)
+    evaluate = call_built(_function, first.problem, first.solver, first.loss, last, checkpoint, count)
+    (outputs,) = evaluate(*side_by_side(descents))
     return outputs.reshape(count, -1)
 
 
@@ -255,12 +254,13 @@ def _plan(solution: Solution) -> Array:
     return by_stage(solution.states, solution.actions)
 
 
-def _sweep(problem: OCP, solver: GradientDescent, last: int, psi: Array, context: Array, output: Array) -> _Sweep:
-    """The reverse pass of one demonstration, from one column of `unrolled_function`."""
+def _sweep(descent: Descent, last: int, output: Array) -> _Sweep:
+    """The reverse pass of one descent, from one column of `unrolled_function`."""
+    problem, solver = descent.problem, descent.solver
     value, remainder, kink, clearance, initial = output[:_HEAD].tolist()
     end = _HEAD + problem.n_parameters
     gradient, point = output[_HEAD:end], output[end:]
-    solution = audited(problem, solver, psi, context, initial, point)
+    solution = audited(problem, solver, descent.psi, descent.context, initial, point)
     certificate = UnrolledCertificate(
         solution=solution,
         failures=tuple(_failures(solution, value, gradient, remainder, kink, solver.steps - last)),

@@ -23,7 +23,8 @@ from kpirl_ocp.ocp.problem.columns import (
     regroup,
     repeat,
     reverse,
-    smallest_by_row,
+    smallest_block,
+    smallest_by_column,
     sum_blocks,
     symbols_like,
 )
@@ -49,8 +50,7 @@ def unrolled_function(
     """(U_0, s0, psi, c, Z) -> loss, remainder, kink distance, clearance, cost of U_0, gradient, `terminal_point`.
 
     The outputs are stacked in one column. For B demonstrations all arguments and the output have B columns, except
-    U_0 (n_u, B T) and Z (n_z, B (T+1)), which hold one demonstration after the other. Clearance is `allowed_move` for
-    all demonstrations together.
+    U_0 (n_u, B T) and Z (n_z, B (T+1)), which hold one demonstration after the other. Clearance is `allowed_move`.
     """
     reduced, (u, s0, psi, context) = ReducedCost(problem, columns), reduced_symbols(problem, columns)
     observed = ca.MX.sym("Z", loss(problem).size1_in(2), columns * (problem.horizon + 1))
@@ -86,11 +86,11 @@ def unrolled_function(
     kink = kinks[0]
     for other in kinks[1:]:
         kink = ca.fmin(kink, other)
-    least = smallest_by_row(ca.horzcat(extremes(at), *(found for _, _, _, found, _ in walk)))
+    least = smallest_block(ca.horzcat(extremes(at), *(found for _, _, _, found, _ in walk)), columns)
     clear = allowed_move(reduced, solver, at, psi, theta, least)
     initial = walk[0][2][:, :columns]
     point = terminal_point(at, columns)
-    output = ca.vertcat(value, remainder, kink, ca.repmat(clear, 1, columns), initial, gradient, point)
+    output = ca.vertcat(value, remainder, kink, clear, initial, gradient, point)
     return ca.Function("unrolled", [u, s0, psi, context, observed], [ca.densify(output)])
 
 
@@ -101,10 +101,12 @@ def _segments(steps: int) -> list[int]:
 
 
 def _segment(step: ca.Function, length: int) -> ca.Function:
-    """Several steps as one function, which keeps one column of extremes for all, and not one for each."""
+    """Several steps as one function, which keeps the extremes of all of them, and not those of each."""
     u, *wide = symbols_like("x", (step.mx_in(0), *repeat(step.mx_in()[1:], length)))
     iterates, values, found, *record = step.mapaccum(length).call([u, *wide])
-    return ca.Function("segment", [u, *wide], [iterates, values, smallest_by_row(found), *record])
+    return ca.Function(
+        "segment", [u, *wide], [iterates, values, smallest_block(found, values.size2() // length), *record]
+    )
 
 
 def _take(steps: ca.Function, u: ca.MX, constants: Sequence[ca.MX]) -> tuple[ca.MX, ca.MX, ca.MX, list[ca.MX]]:
@@ -182,7 +184,7 @@ def _kink_distance(problem: OCP, solver: GradientDescent, free: ca.MX, columns: 
     ]
     if not distances:
         return ca.MX(ca.DM.inf(1, columns))
-    return ca.horzcat(*(ca.mmin(column) for column in ca.horzsplit(ca.vertcat(*distances))))
+    return smallest_by_column(ca.vertcat(*distances))
 
 
 def _norms(array: ca.MX, columns: int) -> ca.MX:

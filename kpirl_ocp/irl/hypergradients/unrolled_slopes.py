@@ -8,8 +8,9 @@ loss changes at another rate than the product of their derivatives says. Along a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import casadi as ca
@@ -24,7 +25,7 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import ReducedCost, reduced_symbols
 from kpirl_ocp.ocp.problem.solver import Guess, guess_actions
 from kpirl_ocp.ocp.sensitivity.certificate import KINK
-from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints, gradient_step
+from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent, check_constraints, next_actions
 from kpirl_ocp.types import Array, Demonstration
 
 STEP = 1e-6  # h, relative to psi
@@ -34,10 +35,10 @@ SMALL = 1e-3  # every parameter counts as at least this share of the largest one
 
 
 @dataclass(frozen=True)
-class Descents:
-    """The inputs of B descents with the same psi (n_psi,), one after the other in each array.
+class Descent:
+    """The inputs of one descent.
 
-    actions: (B T, n_u) initial actions. starts: (B n_s,). contexts: (B n_c,). observed: (B (T+1), n_z).
+    psi: (n_psi,). actions: (T, n_u) initial actions. start: (n_s,). context: (n_c,). observed: (T+1, n_z).
     """
 
     problem: OCP
@@ -45,8 +46,8 @@ class Descents:
     loss: Loss
     psi: Array
     actions: Array
-    starts: Array
-    contexts: Array
+    start: Array
+    context: Array
     observed: Array
 
     @classmethod
@@ -55,50 +56,48 @@ class Descents:
         problem: OCP,
         solver: GradientDescent,
         loss: Loss,
-        demonstrations: Sequence[Demonstration],
+        demonstration: Demonstration,
         psi: ArrayLike,
-        guesses: Sequence[Guess] | None = None,
-    ) -> Descents:
-        """One descent per demonstration, from its guess or from zero actions; errors as in `Hypergradient`."""
+        guess: Guess = None,
+    ) -> Descent:
+        """The descent from a guess, or from zero actions; errors as in `Hypergradient`."""
         check_constraints(problem, solver.project)
-        inputs = [problem.inputs(demonstration.s0, psi, demonstration.context) for demonstration in demonstrations]
-        starts, psis, contexts = zip(*inputs, strict=True)
-        actions = [guess_actions(problem, guess) for guess in guesses or [None] * len(inputs)]
-        observed = [data_of(loss, problem, demonstration).T for demonstration in demonstrations]
-        together = (np.concatenate(parts) for parts in (actions, starts, contexts, observed))
-        return cls(problem, solver, loss, psis[0], *together)
+        start, numbers, context = problem.inputs(demonstration.s0, psi, demonstration.context)
+        observed = data_of(loss, problem, demonstration).T
+        return cls(problem, solver, loss, numbers, guess_actions(problem, guess), start, context, observed)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def kinks(self, losses: Array, gradients: Array, terms: Array) -> Array:
-        """The largest relative difference (B,) between gradients and one-sided slopes that curvature does not explain.
+    def kink(self, loss: float, gradient: Array, terms: float) -> float:
+        """The largest relative difference between gradient and one-sided slopes that curvature does not explain.
 
         Args:
-            losses: (B,) at psi.
-            gradients: (B, n_psi).
-            terms: (B,) the size of the terms of each loss, times the amplification of rounding by the steps.
+            loss: at psi.
+            gradient: (n_psi,).
+            terms: the size of the terms of the loss, times the amplification of rounding by the steps.
         """
         move = direction(self.psi)
         noise = _ROUNDING * terms / STEP
-        expected, total = gradients @ move, np.abs(gradients * move).sum(axis=1)
-        far = self._slopes(move, STEP, losses)
-        size = np.max([total, noise, *np.abs(far)], axis=0)
-        kinks = _ratio(np.abs(far - expected).max(axis=0), size)
-        if not (kinks > KINK).any():
-            return kinks
-        near = self._slopes(move, _CLOSER * STEP, losses)
-        size = np.max([total, noise / _CLOSER, *np.abs(far), *np.abs(near)], axis=0)
-        left = np.abs(near - expected - _CLOSER * (far - expected)).max(axis=0) / (1 - _CLOSER)
-        return np.where(kinks > KINK, _ratio(left, size), kinks)
+        expected, total = gradient @ move, np.abs(gradient * move).sum()
+        far = self._slopes(move, STEP, loss)
+        kink = _ratio(np.abs(far - expected).max(), np.max([total, noise, *np.abs(far)]))
+        if not kink > KINK:
+            return kink
+        near = self._slopes(move, _CLOSER * STEP, loss)
+        left = np.abs(near - expected - _CLOSER * (far - expected)).max() / (1 - _CLOSER)
+        return _ratio(left, np.max([total, noise / _CLOSER, *np.abs(far), *np.abs(near)]))
 
-    def _slopes(self, move: Array, length: float, losses: Array) -> Array:
-        """Forward and backward difference quotients (2, B)."""
-        count = len(losses)
-        evaluate = call_built(_losses, self.problem, self.solver, self.loss, 2 * count)
-        psis = np.concatenate([np.tile(self.psi + sign * length * move, count) for sign in (1.0, -1.0)])
-        twice = (np.concatenate([array, array]) for array in (self.actions, self.starts, self.contexts, self.observed))
-        actions, starts, contexts, observed = twice
-        (shifted,) = evaluate(actions, starts, psis, contexts, observed)
-        return np.array([[1.0], [-1.0]]) * (shifted.reshape(2, count) - losses) / length
+    def _slopes(self, move: Array, length: float, loss: float) -> Array:
+        """Forward and backward difference quotient."""
+        sides = [replace(self, psi=self.psi + sign * length * move) for sign in (1.0, -1.0)]
+        evaluate = call_built(_losses, self.problem, self.solver, self.loss, len(sides))
+        (shifted,) = evaluate(*side_by_side(sides))
+        return np.array([1.0, -1.0]) * (shifted - loss) / length
+
+
+def side_by_side(descents: Sequence[Descent]) -> list[Array]:
+    """Actions, starts, parameters, contexts and observations, each with one descent after the other."""
+    arrays = ((x.actions, x.start, x.psi, x.context, x.observed) for x in descents)
+    return list(map(np.concatenate, zip(*arrays, strict=True)))
 
 
 def direction(psi: Array) -> Array:
@@ -115,10 +114,11 @@ def _shares(count: int) -> Array:
     return np.random.default_rng(0).uniform(0.5, 1.0, count)
 
 
-def _ratio(part: Array, whole: Array) -> Array:
+def _ratio(part: float, whole: float) -> float:
     """part / whole; 0 where both are 0, and infinite where the whole is not finite."""
-    known = (whole > 0) & np.isfinite(whole)
-    return np.divide(part, whole, out=np.where((part == 0) & (whole == 0), 0.0, np.inf), where=known)
+    if whole > 0 and np.isfinite(whole):
+        return float(part / whole)
+    return 0.0 if part == 0 and whole == 0 else math.inf
 
 
 @lru_cache(maxsize=64)
@@ -127,10 +127,9 @@ def _losses(problem: OCP, solver: GradientDescent, loss: Loss, columns: int) -> 
     reduced, (u, s0, psi, context) = ReducedCost(problem, columns), reduced_symbols(problem, columns)
     function = loss(problem)
     observed = ca.MX.sym("Z", function.size1_in(2), columns * (problem.horizon + 1))
-    step = gradient_step(problem, solver, columns)
-    once = ca.Function("once", step.mx_in(), step.call(step.mx_in())[:1])
+    step = next_actions(problem, solver, columns)
     constants = (s0, psi, *reduced.cost.coefficients(psi, context))
-    final = once.fold(solver.steps)(regroup(u, problem.horizon), *repeat(constants, solver.steps))
+    final = step.fold(solver.steps)(regroup(u, problem.horizon), *repeat(constants, solver.steps))
     rollout = reduced.passes.rollout(s0, final, psi)
     states, actions = regroup(rollout.states, columns), regroup(final, columns)
     value = function.map(columns)(states, actions, observed)

@@ -59,6 +59,12 @@ static void kernel_tanh(const casadi_real* x, casadi_int n, casadi_real* y) {
 
 """
 
+# The smaller and the larger of two, as fmin and fmax of the mathematical library, which are no vector instructions.
+_PAIR = r"""static inline casadi_real casadi_f@name@(casadi_real x, casadi_real y) {
+  return x @than@= y || y != y ? x : y;
+}
+"""
+
 # The least and the largest of an array; as with fmin and fmax, NaN does not count.
 _EXTREME = r"""static casadi_real casadi_vf@name@(const casadi_real* x, casadi_int n, casadi_real r) {
   casadi_real some[32];
@@ -73,6 +79,8 @@ _EXTREME = r"""static casadi_real casadi_vf@name@(const casadi_real* x, casadi_i
   return r;
 }
 """
-LEAST, LARGEST = (
-    _EXTREME.replace("@name@", name).replace("@than@", than) for name, than in (("min", "<"), ("max", ">"))
+LEAST, LARGEST, SMALLER, LARGER = (
+    text.replace("@name@", name).replace("@than@", than)
+    for text in (_EXTREME, _PAIR)
+    for name, than in (("min", "<"), ("max", ">"))
 )

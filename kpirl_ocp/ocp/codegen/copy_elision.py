@@ -12,21 +12,21 @@ from __future__ import annotations
 
 import re
 
-_FUNCTION = re.compile(r"^static int (casadi_f\d+)\(const casadi_real\*\* arg.*?^}\n", re.MULTILINE | re.DOTALL)
-_ENTRY = re.compile(r"return (casadi_f\d+)\(arg, res, iw, w, mem\);")
+FUNCTION = re.compile(r"^static int (casadi_f\d+)\(const casadi_real\*\* arg.*?^}\n", re.MULTILINE | re.DOTALL)
+ENTRY = re.compile(r"return (casadi_f\d+)\(arg, res, iw, w, mem\);")
 _START = re.compile(r"^ *casadi_(?:clear\((w\d+), \d+|copy\((\w+), \d+, (w\d+))\);\n", re.MULTILINE)
 _OUTPUT = re.compile(r"^ *(?:if \(res\[\d+\]\) )?casadi_copy\((w\d+), \d+, res\[(\d+)\](\+\d+)?\);\n", re.MULTILINE)
 
 
 def with_fewer_copies(source: str) -> str:
     """Generated C with both replacements; products call `kernel_mtimes_from` of `kpirl_ocp.ocp.codegen.kernels`."""
-    entries = set(_ENTRY.findall(source))
+    entries = set(ENTRY.findall(source))
 
     def shorter(function: re.Match[str]) -> str:
         text = _products(function[0])
         return text if function[1] in entries else _outputs(text)
 
-    return _FUNCTION.sub(shorter, source)
+    return FUNCTION.sub(shorter, source)
 
 
 def _products(text: str) -> str:

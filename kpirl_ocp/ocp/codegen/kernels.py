@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import re
 
-from kpirl_ocp.ocp.codegen.array_kernels import COPY, LARGEST, LEAST, TANH
+from kpirl_ocp.ocp.codegen.array_kernels import COPY, LARGER, LARGEST, LEAST, SMALLER, TANH
+from kpirl_ocp.ocp.codegen.certain_calls import with_certain_calls
 from kpirl_ocp.ocp.codegen.copy_elision import with_fewer_copies
 
 _KERNEL = r"""
@@ -194,17 +195,20 @@ _BODIES = {
     "void casadi_copy": COPY,
     "casadi_real casadi_vfmin": LEAST,
     "casadi_real casadi_vfmax": LARGEST,
+    "casadi_real casadi_fmin": SMALLER,
+    "casadi_real casadi_fmax": LARGER,
 }
 _TANH_LOOP = re.compile(r"for \(i=0, rr=([^,]+), cs=([^;]+); i<(\d+); \+\+i\) \*rr\+\+ = tanh\( ?\*cs\+\+ ?\);")
 _REALS = re.compile(r"#define casadi_int .*\n(#endif\n)?")  # defined before the kernels, which need it
 
 
 def with_fast_kernels(source: str) -> str:
-    """Generated C with its dense products, copies, extremes and tanh of arrays replaced, and with fewer copies.
+    """Generated C with its dense products, copies, extremes and tanh of arrays replaced; fewer copies, certain calls.
 
     Nothing is added for functions that it does not contain.
     """
     source, found = _TANH_LOOP.subn(r"kernel_tanh(\2, \3, \1);", _with_products(source))
+    source = with_certain_calls(source)
     return _begin_with(TANH, source) if found else source
 
 

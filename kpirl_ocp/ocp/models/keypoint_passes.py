@@ -31,7 +31,7 @@ from kpirl_ocp.ocp.models.mlp import (
     vjp,
     vjp_tangent,
 )
-from kpirl_ocp.ocp.problem.columns import largest_by_row, scan, smallest_by_row
+from kpirl_ocp.ocp.problem.columns import largest_block, scan, symbols_like
 from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout
 from kpirl_ocp.types import Array
 
@@ -49,12 +49,12 @@ class NetworkPasses:
         z0, theta0, velocity = self._parts(s0)
         theta = self._sum(theta0, actions)
         constant = ca.mac(ca.DM(self._by_velocity), velocity, ca.repmat(ca.DM(self._mlp.biases[0]), 1, self.columns))
-        z, *kept = scan(self._forward, z0, self._drive_inputs(theta, actions, constant), self.horizon)
+        inputs, far = self._drive_inputs(theta, actions, constant), [ca.MX(ca.DM.inf(*x.shape)) for x in self._nearest]
+        z, *kept = scan(self._forward, z0, inputs, self.horizon, running=far)
         states = _stack(ca.horzcat(z0, z), theta, ca.repmat(velocity, 1, self.horizon + 1))
         remembered = len(self._slopes)
-        nearest = [smallest_by_row(ca.fabs(arguments)) for arguments in kept[remembered:]]
-        least = [-largest_by_row(states), -largest_by_row(actions), *nearest]
-        return Rollout(states, actions, tuple(kept[:remembered]), ca.vertcat(*least))
+        least = [*(-largest_block(x, self.columns) for x in (states, actions)), *kept[remembered:]]
+        return Rollout(states, actions, tuple(kept[:remembered]), _stack(*least))
 
     def clearance(self, moves: ca.MX, nearest: ca.MX) -> ca.MX:
         """That of the network, whose inputs are s and u."""
@@ -166,11 +166,12 @@ class NetworkPasses:
 
     @cached_property
     def _forward(self) -> ca.Function:
-        """z, inputs for e_t -> z_next, slopes, arguments with kinks."""
+        """z, inputs for e_t, smallest arguments with kinks so far -> z_next, slopes, smallest ones with this stage."""
         z, (inputs, drive) = self._symbol("z"), self._drive_symbols(constant=True)
         y, slopes = self._mlp.linearise(z, drive)
-        outputs = [self._residual(z) + y, *flatten_slopes(slopes), *kinked(slopes)]
-        return ca.Function("forward", [z, *inputs], outputs)
+        nearest = [ca.fmin(x, ca.fabs(a)) for x, a in zip(self._nearest, kinked(slopes), strict=True)]
+        outputs = [self._residual(z) + y, *flatten_slopes(slopes), *nearest]
+        return ca.Function("forward", [z, *inputs, *self._nearest], outputs)
 
     @cached_property
     def _tangent(self) -> ca.Function:
@@ -204,7 +205,12 @@ class NetworkPasses:
     @cached_property
     def _slopes(self) -> list[ca.MX]:
         """Symbols for the memory of the rollout."""
-        return [ca.MX.sym("slope", *part.shape) for part in flatten_slopes(self._mlp.linearise(self._symbol("z"))[1])]
+        return symbols_like("slope", flatten_slopes(self._mlp.linearise(self._symbol("z"))[1]))
+
+    @cached_property
+    def _nearest(self) -> list[ca.MX]:
+        """Symbols for the smallest arguments with kinks."""
+        return symbols_like("nearest", kinked(self._mlp.linearise(self._symbol("z"))[1]))
 
     def _residual(self, z: ca.MX) -> ca.MX | float:
         """z where the network predicts its change, else zero."""

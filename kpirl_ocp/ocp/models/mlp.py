@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.activations import ACTIVATIONS, SCALES, Slopes
+from kpirl_ocp.ocp.problem.columns import smallest_by_column
 from kpirl_ocp.types import Array
 
 _TINY = np.finfo(float).tiny
@@ -202,13 +203,12 @@ def jacobian(mlp: MLP, slopes: Sequence[Slopes]) -> ca.MX:
 
 
 def kinked(slopes: Sequence[Slopes]) -> list[ca.MX]:
-    """The arguments (n, B) of all activations with a kink at zero, below one another; empty where there are none."""
-    arguments = [slope.kink for slope in slopes if slope.kink is not None]
-    return [ca.vertcat(*arguments)] if arguments else []
+    """The arguments (n_l, B) of the activations with a kink at zero, layer by layer."""
+    return [slope.kink for slope in slopes if slope.kink is not None]
 
 
 def clearance(mlp: MLP, moves: ca.MX, nearest: ca.MX) -> ca.MX:
-    """The largest share of moves (n_in,) of the inputs that changes the Jacobian by no more than a thousandth.
+    """The largest share (1, B) of moves (n_in, B) of the inputs that changes the Jacobian by no more than a thousandth.
 
     A change dx of the input moves no argument by more than
 
@@ -220,17 +220,17 @@ def clearance(mlp: MLP, moves: ca.MX, nearest: ca.MX) -> ca.MX:
     Args:
         mlp: with scales L and c of its activations, `SCALES`.
         moves: absolute values.
-        nearest: (n,) the smallest absolute values that `kinked` takes.
+        nearest: (n, B) the smallest absolute values that `kinked` takes, below one another.
     """
-    kinked_moves, bend = [ca.MX(0, 1)], ca.MX(0.0)
+    kinked_moves, bend = [ca.MX(0, moves.size2())], ca.MX.zeros(1, moves.size2())
     for weight, name in zip(mlp.weights, mlp.activations, strict=True):
         largest_slope, scale = SCALES[name]
         moves = ca.DM(np.abs(weight)) @ moves
         kinked_moves += [moves] if has_kink(name) else []
-        bend += scale * ca.mmax(moves)
+        bend += scale * -smallest_by_column(-moves)
         moves = largest_slope * moves
     bounds = ca.vertcat(_GENTLE / (bend + _TINY), nearest / (ca.vertcat(*kinked_moves) + _TINY))
-    return ca.mmin(bounds)
+    return smallest_by_column(bounds)
 
 
 def has_kink(name: str) -> bool:

@@ -16,38 +16,54 @@ from kpirl_ocp.ocp.problem.statement.expressions import inputs_of
 _WRITTEN_OUT = 32  # up to this many steps are written out one by one
 
 
-def scan(stage: ca.Function, start: ca.MX, inputs: Sequence[ca.MX], steps: int, backwards: bool = False) -> list[ca.MX]:
+def scan(
+    stage: ca.Function,
+    start: ca.MX,
+    inputs: Sequence[ca.MX],
+    steps: int,
+    backwards: bool = False,
+    running: Sequence[ca.MX] = (),
+) -> list[ca.MX]:
     """Apply a stage function block by block, forwards or backwards; its first output is its first input at the next.
 
     Inputs and outputs (n, T B) are ordered by time in both cases; an input (n, B) is used at every step. The result is
     that of `mapaccum`, but arrays are copied only once. Many steps are split into groups that are functions of their
     own, at the price of one more copy: compilers take more than twice the time for a function of twice the length.
+
+    running: arrays (n, B) that the stage takes as its last inputs and gives, changed, as its last outputs; the result
+    ends with those of the last step alone.
     """
     size = 1 if steps <= _WRITTEN_OUT else math.isqrt(steps)
     ends = [*range(0, steps, size), steps]
     lengths = [end - begin for begin, end in pairwise(ends)]
     same = [array.size2() == start.size2() for array in inputs]
-    groups = {length: stage if size == 1 else _group(stage, length, backwards, same) for length in lengths}
+    alone = len(running)
+    groups = {length: stage if size == 1 else _group(stage, length, backwards, same, alone) for length in lengths}
     blocks = [
         [array] * len(lengths) if alike else ca.horzsplit(array, [end * (array.size2() // steps) for end in ends])
         for array, alike in zip(inputs, same, strict=True)
     ]
     rows: list[list[ca.MX]] = [[] for _ in lengths]
     for i in reversed(range(len(lengths))) if backwards else range(len(lengths)):
-        outputs = groups[lengths[i]].call([start, *(block[i] for block in blocks)])
-        start, rows[i] = outputs[0], outputs if size == 1 else outputs[1:]
-    return [ca.horzcat(*column) for column in zip(*rows, strict=True)]
+        outputs = groups[lengths[i]].call([start, *(block[i] for block in blocks), *running])
+        end = len(outputs) - alone
+        start, rows[i], running = outputs[0], outputs[0 if size == 1 else 1 : end], outputs[end:]
+    return [*(ca.horzcat(*column) for column in zip(*rows, strict=True)), *running]
 
 
-def _group(stage: ca.Function, length: int, backwards: bool, same: Sequence[bool]) -> ca.Function:
-    """Several steps as one function: (start, inputs as for `scan`) -> first output of the last step, all outputs."""
+def _group(stage: ca.Function, length: int, backwards: bool, same: Sequence[bool], alone: int) -> ca.Function:
+    """Several steps as one function: (start, inputs as for `scan`) -> first output of the last step, all outputs.
+
+    alone: how many of the stage's inputs are `running`.
+    """
     start, *inputs = stage.mx_in()
+    inputs, running = inputs[: len(same)], inputs[len(inputs) - alone :]
     widths = [array.size2() * (1 if alike else length) for array, alike in zip(inputs, same, strict=True)]
     wide = [ca.MX.sym("x", array.size1(), width) for array, width in zip(inputs, widths, strict=True)]
-    outputs = scan(stage, start, wide, length, backwards)
+    outputs = scan(stage, start, wide, length, backwards, running)
     width = start.size2()
     carried = outputs[0][:, :width] if backwards else outputs[0][:, -width:]
-    return ca.Function("group", [start, *wide], [carried, *outputs])
+    return ca.Function("group", [start, *wide, *running], [carried, *outputs])
 
 
 def map_shared(function: ca.Function, steps: int, inputs: Sequence[ca.MX], add: bool = False) -> list[ca.MX]:
@@ -90,17 +106,22 @@ def sum_blocks(array: ca.MX, width: int) -> ca.MX:
     return ca.reshape(ca.sum2(ca.reshape(array, rows * width, array.size2() // width)), rows, width)
 
 
-def smallest_by_row(array: ca.MX) -> ca.MX:
-    """(n, 1) the smallest number in each row of an array (n, m), m >= 1, by repeated halving."""
-    while array.size2() > 1:
-        half = (array.size2() + 1) // 2
+def smallest_block(array: ca.MX, width: int) -> ca.MX:
+    """(n, B) entry by entry the smallest number of all blocks of `width` columns, by repeated halving."""
+    while array.size2() > width:
+        half = (array.size2() // width + 1) // 2 * width
         array = ca.fmin(array[:, :half], array[:, -half:])
     return array
 
 
-def largest_by_row(array: ca.MX) -> ca.MX:
-    """(n, 1) the largest absolute value in each row of an array (n, m)."""
-    return -smallest_by_row(-ca.fabs(array))
+def largest_block(array: ca.MX, width: int) -> ca.MX:
+    """(n, B) entry by entry the largest absolute value of all blocks."""
+    return -smallest_block(-ca.fabs(array), width)
+
+
+def smallest_by_column(array: ca.MX) -> ca.MX:
+    """(1, B) the smallest number in each column of an array (n, B)."""
+    return ca.horzcat(*map(ca.mmin, ca.horzsplit(array)))
 
 
 def repeat(arrays: Iterable[ca.MX], count: int) -> list[ca.MX]:

@@ -27,7 +27,7 @@ Memory = tuple[ca.MX, ...]
 class Rollout(NamedTuple):
     """States (n_s, (T+1) B), actions (n_u, T B), and further arrays that the other passes need.
 
-    extremes: (n, 1) minus the largest absolute values of each state and action, then the smallest of each number at
+    extremes: (n, B) minus the largest absolute values of each state and action, then the smallest of each number at
         whose zero the dynamics have a kink; None where `clearance` is not known.
     """
 
@@ -69,10 +69,10 @@ class TrajectoryPasses(Protocol):
         ...
 
     def clearance(self, moves: ca.MX, nearest: ca.MX) -> ca.MX:
-        """The share of moves (n_s + n_u,) of states and actions that leaves the derivatives as they are.
+        """The share (1, B) of moves (n_s + n_u, B) of states and actions that leaves the derivatives as they are.
 
         That is, up to a thousandth of the terms of the Jacobians, and without a kink; 0 where it is not known.
-        `nearest` (n, 1) says how near to zero the numbers come at whose zeros the dynamics have kinks.
+        `nearest` (n, B) says how near to zero the numbers come at whose zeros the dynamics have kinks.
         """
         ...
 
@@ -106,7 +106,7 @@ class StagePasses:
 
     def clearance(self, moves: ca.MX, nearest: ca.MX) -> ca.MX:
         """No bound is known."""
-        return ca.MX(0.0)
+        return ca.MX.zeros(1, self.columns)
 
     def _scan(self, stage: ca.Function, start: ca.MX, *inputs: ca.MX, backwards: bool = False) -> list[ca.MX]:
         return scan(stage.map(self.columns), start, inputs, self.horizon, backwards)

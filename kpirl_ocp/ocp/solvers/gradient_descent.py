@@ -96,9 +96,17 @@ def gradient_step(problem: OCP, solver: GradientDescent, columns: int = 1) -> ca
     return ca.Function("gradient_step", [u, s0, psi, *theta], outputs)
 
 
+def next_actions(problem: OCP, solver: GradientDescent, columns: int = 1) -> ca.Function:
+    """The first output of `gradient_step` alone."""
+    step = gradient_step(problem, solver, columns)
+    always_inline, never_inline = True, False  # so that what nobody asks for is not computed
+    outputs = step.call(step.mx_in(), always_inline, never_inline)
+    return ca.Function("next_actions", step.mx_in(), outputs[:1])
+
+
 def extremes(at: Linearisation) -> ca.MX:
-    """Those of the rollout (n, 1); nothing where they are not known."""
-    return ca.MX(0, 1) if at.rollout.extremes is None else at.rollout.extremes
+    """Those of the rollout (n, B); nothing where they are not known."""
+    return ca.MX(0, at.value.size2()) if at.rollout.extremes is None else at.rollout.extremes
 
 
 def project(problem: OCP, solver: GradientDescent, u: ca.MX) -> ca.MX:
@@ -137,9 +145,7 @@ def _descent(problem: OCP, solver: GradientDescent) -> ca.Function:
     """(U, s0, psi, c) -> the cost of the guess, then `terminal_point`."""
     reduced, (u, s0, psi, context) = ReducedCost(problem), reduced_symbols(problem)
     theta = reduced.cost.coefficients(psi, context)
-    step = gradient_step(problem, solver)
-    once = ca.Function("once", step.mx_in(), step.call(step.mx_in())[:1])
-    final = once.fold(solver.steps)(u, *repeat((s0, psi, *theta), solver.steps))
+    final = next_actions(problem, solver).fold(solver.steps)(u, *repeat((s0, psi, *theta), solver.steps))
     before, after = (reduced.linearise(s0, actions, psi, theta) for actions in (u, final))
     output = ca.vertcat(before.value, terminal_point(after))
     return compiled(ca.Function("descent", [u, s0, psi, context], [output]))
