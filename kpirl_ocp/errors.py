@@ -50,6 +50,12 @@ class ModelError(FileError):
 class DependencyError(KpirlError, ImportError):
     """An optional package is not installed; the message says how to install it."""
 
+    @classmethod
+    def of(cls, name: str, error: ModuleNotFoundError, extra: str) -> "DependencyError":
+        """For a name of the package that cannot be imported without an extra."""
+        package = str(error.name).partition(".")[0]
+        return cls(f'{name} needs {package}, which is not installed: pip install "kpirl-ocp[{extra}]".')
+
 
 class ResourceError(KpirlError, RuntimeError):
     """A command would take more memory than the machine has."""

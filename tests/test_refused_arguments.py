@@ -1,4 +1,4 @@
-"""Arguments of solvers and records that are no problem, or no numbers, are refused in a sentence."""
+"""What is no problem, no number or not installed is refused in a sentence; what was started is ended."""
 
 import subprocess
 import sys
@@ -46,3 +46,26 @@ print(Fatrop().solve(problem, [1.0]).status.name)
 """
     run = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
     assert (run.stdout.split(), run.stderr) == (["CONVERGED"], "")
+
+
+@pytest.mark.parametrize(
+    ("room", "name", "package", "extra"),
+    [
+        ("bridges", "OCPLayer", "torch", "torch"),
+        ("bridges", "from_torch", "torch", "torch"),
+        ("bridges", "ocp_function", "jax", "jax"),
+        ("perception.detector", "KeypointDetector", "torch", "perception"),
+    ],
+)
+def test_a_name_that_needs_an_extra_says_which(room, name, package, extra):
+    code = f"""
+import sys
+sys.modules[{package!r}] = None
+try:
+    from kpirl_ocp.{room} import {name}
+except ImportError as error:
+    print(type(error).__name__, error)
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    expected = f'{name} needs {package}, which is not installed: pip install "kpirl-ocp[{extra}]".'
+    assert run.stdout == f"DependencyError {expected}\n"
