@@ -192,14 +192,13 @@ real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, 
 
 /* ---- of a loss --------------------------------------------------------------------------------------------------- */
 
-/* Between x (n_w) and states with actions, either way. */
-static void exchange(const kpirl_mpc_dimensions *of, real *x, real *states, real *actions, int to_x) {
-  const int T = of->horizon, n_s = of->n_states, n_u = of->n_actions, n_x = n_s + n_u;
+/* S and U of x, the inverse of kpirl_mpc_by_stage. */
+static void split(const kpirl_mpc_dimensions *of, const real *x, real *states, real *actions) {
+  const int n_s = of->n_states, n_u = of->n_actions;
   int t;
-  for (t = 0; t <= T; ++t) {
-    real *s = x + t * n_x, *u = s + n_s;
-    memcpy(to_x ? s : states + t * n_s, to_x ? states + t * n_s : s, (size_t)n_s * sizeof(real));
-    if (t < T) memcpy(to_x ? u : actions + t * n_u, to_x ? actions + t * n_u : u, (size_t)n_u * sizeof(real));
+  for (t = 0; t <= of->horizon; ++t, x += n_s + n_u) {
+    memcpy(states + t * n_s, x, (size_t)n_s * sizeof(real));
+    if (t < of->horizon) memcpy(actions + t * n_u, x + n_s, (size_t)n_u * sizeof(real));
   }
 }
 
@@ -212,7 +211,7 @@ static int evaluate(const kpirl_mpc_dimensions *of, const kpirl_mpc_loss *loss, 
   real *states = work, *actions = states + n_states, *moved = work + n_w;
   int i, failed;
   for (i = 0; i < n_w; ++i) moved[i] = x[i] + length * move[i];
-  exchange(of, moved, states, actions, 0);
+  split(of, moved, states, actions);
   at.states = states;
   at.actions = actions;
   at.data = data;
@@ -220,7 +219,7 @@ static int evaluate(const kpirl_mpc_dimensions *of, const kpirl_mpc_loss *loss, 
   to.by_states = moved;
   to.by_actions = moved + n_states;
   failed = loss->evaluate(loss->self, &at, &to);
-  exchange(of, slopes, moved, moved + n_states, 1);
+  kpirl_mpc_by_stage(of, moved, moved + n_states, slopes);
   return failed;
 }
 

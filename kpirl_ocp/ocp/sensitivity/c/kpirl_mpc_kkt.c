@@ -247,13 +247,12 @@ void kpirl_mpc_kkt_select_nearby(kpirl_mpc_kkt *k, const real *active) {
 
 /* ---- of a solution ------------------------------------------------------------------------------------------------ */
 
-/* x (n_w) of rows of s and of u. */
-static void by_stage(const kpirl_mpc_system *s, const real *states, const real *actions, real *x) {
-  const int n_s = s->n_states, n_u = s->n_actions;
+void kpirl_mpc_by_stage(const kpirl_mpc_dimensions *of, const real *states, const real *actions, real *x) {
+  const int n_s = of->n_states, n_u = of->n_actions;
   int t;
-  for (t = 0; t <= s->horizon; ++t) {
+  for (t = 0; t <= of->horizon; ++t) {
     memcpy(x + t * (n_s + n_u), states + t * n_s, (size_t)n_s * sizeof(real));
-    if (t < s->horizon) memcpy(x + t * (n_s + n_u) + n_s, actions + t * n_u, (size_t)n_u * sizeof(real));
+    if (t < of->horizon) memcpy(x + t * (n_s + n_u) + n_s, actions + t * n_u, (size_t)n_u * sizeof(real));
   }
 }
 
@@ -277,9 +276,9 @@ void kpirl_mpc_kkt_set_solution(kpirl_mpc_kkt *k, const real *solution) {
   const real *of_actions = of_states + n_states, *of_rows = of_actions + n_actions;
   real *net = k->work;
   k->evaluated = 0;
-  by_stage(s, solution, actions, k->point.x);
+  kpirl_mpc_by_stage(&k->dimensions, solution, actions, k->point.x);
   memcpy(k->point.costates, costates, (size_t)n_c * sizeof(real));
-  by_stage(s, of_states, of_actions, net);
+  kpirl_mpc_by_stage(&k->dimensions, of_states, of_actions, net);
   find_bound_forces(k, net, net + kpirl_mpc_system_n_point(s));
   memcpy(k->point.forces + s->n_bounds, of_rows, (size_t)(kpirl_mpc_system_n_rows(s) - s->n_bounds) * sizeof(real));
 }

@@ -110,6 +110,9 @@ void kpirl_mpc_kkt_set_solution(kpirl_mpc_kkt *kkt, const real *solution);
 void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core);
 void kpirl_mpc_kkt_set_derivatives(kpirl_mpc_kkt *kkt, const kpirl_mpc_view *derivatives);
 
+/* x (n_w) of S (T+1, n_s) and U (T, n_u). */
+void kpirl_mpc_by_stage(const kpirl_mpc_dimensions *dimensions, const real *states, const real *actions, real *x);
+
 /* A point as a core takes it. */
 kpirl_mpc_start kpirl_mpc_start_at(const kpirl_mpc_system *system, const kpirl_mpc_triple *point);
 
@@ -138,9 +141,9 @@ real kpirl_mpc_kkt_refine(kpirl_mpc_kkt *kkt, const kpirl_mpc_triple *right, rea
  * kkt->step; unless they are known. */
 void kpirl_mpc_kkt_step(kpirl_mpc_kkt *kkt);
 
-/* Go that way until the step is short, if it is not long, and as long as each step is much shorter than the one before: solvers have
- * tolerances in units of the cost, so that a small cost leaves solutions far from exact. kkt->distance: how far the point has moved,
- * measured as the step. */
+/* Newton steps from the point until one is short, as long as each is much shorter than the one before; none where the first is long.
+ * Solvers have tolerances in units of the cost, so that a small cost leaves solutions far from exact. kkt->distance: how far the
+ * point has moved, measured as the step. */
 void kpirl_mpc_kkt_polish(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core);
 
 /* Where the step leads, and a little further along the softest direction, into nearby->point; and the smallest multiplier of an
@@ -184,10 +187,10 @@ real kpirl_mpc_weighted_sum(const kpirl_mpc_system *system, const kpirl_mpc_trip
 real kpirl_mpc_moved_weighted_sum(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
                                   real length, real *values, real *work);
 
-/* How far the slopes of the weighted conditions are from zero, relative to `total`, to both sides along the plan that derivatives
- * predict where the parameters move; what is proportional to the step is curvature. Where the plan itself moves otherwise, by
- * which share. left, at, right: conditions where parameters alone have moved, by -1e-6, 0 and 1e-6 of moves. here: the weighted
- * sum. */
+/* Along the plan that derivatives predict where the parameters move, slopes of the weighted conditions are zero to both sides if the
+ * problem is smooth: returns what they are, relative to `total`, without what is proportional to the step (curvature). Where the
+ * plan does not move as predicted, returns by which share of its move. left, at, right: conditions where parameters alone have
+ * moved, by -1e-6, 0 and 1e-6 of moves. here: the weighted sum. */
 real kpirl_mpc_kink_along_plan(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
                                const real *left, const real *at, const real *right, real here, real total, real *work);
 

@@ -98,7 +98,7 @@ real kpirl_mpc_system_solve(const kpirl_mpc_system *system, const kpirl_mpc_trip
 real kpirl_mpc_system_change(const kpirl_mpc_system *system, const kpirl_mpc_system *nearby, const kpirl_mpc_triple *right,
                              kpirl_mpc_triple *point);
 
-/* Its first share, to first order, from the residual that point has in the system nearby; residual is overwritten. */
+/* That change to first order, by one substitution, from the residual that point has in the system nearby, which is overwritten. */
 real kpirl_mpc_system_first_change(const kpirl_mpc_system *system, kpirl_mpc_triple *residual, const kpirl_mpc_triple *point);
 
 /* The length over x, in units of its sizes, of the solution for a right-hand side, which is overwritten, by one substitution. */
@@ -123,7 +123,7 @@ int kpirl_mpc_system_other_rows(const kpirl_mpc_system *system);
 int kpirl_mpc_decision_of(const kpirl_mpc_system *system, int row);
 void kpirl_mpc_moved_by_decisions(const kpirl_mpc_system *system, int row, real *work, real *by);
 
-/* Those of the active rows, and `moved`; returns whether no decision moves some of them, whose length is 1. */
+/* Lengths of the active rows, and `moved`; returns whether there is one that no decision moves, whose length becomes 1. */
 int kpirl_mpc_find_lengths(kpirl_mpc_system *system);
 
 int kpirl_mpc_system_inner_scratch(const kpirl_mpc_system *system); /* that products and factors take, at the front */
