@@ -10,6 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
+from stress import bars
 from stress.certificates.contest import count
 from stress.certificates.families import FAMILIES, draw
 from stress.certificates.steps import is_smooth, steps_for
@@ -29,6 +30,37 @@ from kpirl_ocp.errors import CertificateError
 from kpirl_ocp.ocp.codegen import compiler as native
 
 QUICK = PROFILES["quick"]
+
+
+MET = {
+    "certificates": {"wrong": [], "healthy": 0.951},
+    "statuses": {"wrong": []},
+    "starts": {"all": {"lost": 0, "many": 0, "mean": 0.69}},
+    "lives": {"solves": {"middle": 100.0, "end": 119.0, "handles": 0}},
+    "kills": {"learning": {"different": [], "left": []}},
+}
+
+
+@pytest.mark.parametrize(
+    ("part", "numbers", "said"),
+    [
+        ("certificates", {"wrong": [17], "healthy": 0.951}, "certified and wrong: cases [17]"),
+        ("certificates", {"wrong": [], "healthy": 0.949}, "94.9 % of the healthy cases"),
+        ("statuses", {"wrong": [("SQP", 3)]}, "not confirmed"),
+        ("starts", {"all": {"lost": 1, "many": 0, "mean": 0.69}}, "noisy starts"),
+        ("starts", {"all": {"lost": 0, "many": 1, "mean": 0.69}}, "noisy starts"),
+        ("starts", {"all": {"lost": 0, "many": 0, "mean": 0.71}}, "noisy starts"),
+        ("starts", {"all": {"lost": 0, "many": 0, "mean": np.nan}}, "noisy starts"),
+        ("lives", {"solves": {"middle": 100.0, "end": 121.0, "handles": 0}}, "solves: memory or open files grow"),
+        ("lives", {"solves": {"middle": 100.0, "end": 100.0, "handles": 1}}, "solves: memory or open files grow"),
+        ("kills", {"learning": {"different": ["cost.json"], "left": []}}, "learning does not go on"),
+        ("kills", {"learning": {"different": [], "left": [".x.part"]}}, "learning does not go on"),
+    ],
+)
+def test_every_bar_that_is_missed_is_a_sentence_and_those_that_are_met_are_none(part, numbers, said):
+    assert bars.broken({}) == bars.broken(MET) == []
+    (sentence,) = bars.broken(MET | {part: numbers})
+    assert said in sentence
 
 
 @pytest.fixture(scope="module")
