@@ -48,9 +48,7 @@ static void by_start(const kpirl_mpc_system *s, const kpirl_mpc_triple *weights,
   kpirl_mpc_times_vector(s->G, n_x, s->n_path, path, of_stage);
   kpirl_mpc_times_vector(s->E, n_x, s->n_equality, equality, of_stage);
   memcpy(by, of_stage, (size_t)n_s * sizeof(real));
-  for (i = 0; i < s->n_bounds; ++i)
-    if (s->entries[i] < n_s) by[s->entries[i]] += s->signs[i] * weights->forces[i];
-  for (i = 0; i < s->n_free; ++i) by[s->free[i]] = 0;
+  for (i = 0; i < s->n_free; ++i) by[s->free[i]] = 0; /* given entries have no bounds */
 }
 
 void kpirl_mpc_kkt_pull(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *function, kpirl_mpc_triple *adjoint,
