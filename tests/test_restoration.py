@@ -245,3 +245,13 @@ def test_three_states_at_rest_on_a_bound_move_off_it():
     assert found.status is Status.CONVERGED
     np.testing.assert_allclose(found.actions, other.actions, rtol=0, atol=1e-4)
     assert found.objective == pytest.approx(other.objective, rel=1e-8)
+
+
+@pytest.mark.parametrize("unit", [1e-7, 1e-6, 1e-5])
+def test_a_plan_that_breaks_the_dynamics_is_not_acceptable_in_small_units(unit):
+    """All of x is so small that any violation is below 1e-6: the guess was taken for a plan before the first step."""
+    found = Riccati().solve(at_rest_on_its_bound(unit, 1e-4, False), [0.9 * unit, 0.0])
+    other = Riccati().solve(at_rest_on_its_bound(1.0, 1e-4, False), [0.9, 0.0])
+    assert found.status is Status.CONVERGED
+    assert found.residuals.feasibility <= 1e-9 * unit
+    assert found.objective == pytest.approx(other.objective, rel=1e-6)

@@ -59,11 +59,12 @@ int kpirl_mpc_solved(const kpirl_mpc_core *core) {
   return kpirl_mpc_worst(&residuals) <= core->tolerance && residuals.complementarity <= close_enough(core);
 }
 
-/* Do the conditions hold as far as rounding lets them? */
+/* Do the conditions hold as far as rounding lets them? Where all of x is small, a violation has to be small beside it, too. */
 int kpirl_mpc_acceptable(const kpirl_mpc_core *core) {
+  const real enough = kpirl_mpc_root(core->tolerance) / 10, size = kpirl_mpc_largest(core->at.x, kpirl_mpc_n_point(core));
   kpirl_mpc_residuals residuals;
   find_residuals(core, &residuals);
-  return kpirl_mpc_worst(&residuals) <= kpirl_mpc_root(core->tolerance) / 10;
+  return kpirl_mpc_worst(&residuals) <= enough && residuals.feasibility <= kpirl_mpc_larger(core->tolerance, enough * size);
 }
 
 /* Have all residuals stayed as they are for some iterations? A start that follows the dynamics has the best feasibility of all;
