@@ -57,8 +57,14 @@ def test_a_thing_of_which_a_part_stays_in_view_behind_its_twin_is_followed_with_
     assert errors.max() < 3
 
 
-def test_a_thing_that_its_twin_hides_is_refused_with_the_frames_from_there_on():
-    tracks, _ = followed(pass_by(gap=0, speed=4))
+def test_a_thing_that_its_twin_hides_for_a_moment_is_told_from_it_by_their_ways():
+    tracks, errors = followed(pass_by(gap=0, speed=4))
+    assert refusal(tracks) is None
+    assert errors.max() < 3
+
+
+def test_a_thing_that_its_twin_hides_for_longer_is_refused_with_the_frames_from_there_on():
+    tracks, _ = followed(pass_by(gap=0, speed=2))
     found = refusal(tracks)
     assert "was not seen for sure from" in found.reason
     assert 0 < found.frames[0] < len(tracks.times) / 2

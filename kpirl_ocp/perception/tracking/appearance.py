@@ -55,15 +55,22 @@ class Views(NamedTuple):
         return sharp, smooth
 
 
+class Shown(NamedTuple):
+    """An image, sharp and smooth, and the pose (3, 3) of an object that it shows."""
+
+    grey: Greys
+    pose: Array
+
+
 class Memory(NamedTuple):
     """A frame, and the pose (3, 3) of the object in it."""
 
     views: Views
     pose: Array
 
-    def at(self, pose: Array) -> Greys:
-        """The grey views warped as if the object were at another pose: flow compares patches that are not turned."""
-        return self.views.turned(pose @ np.linalg.inv(self.pose))
+    def at(self, pose: Array) -> Shown:
+        """The frame warped as if the object were at another pose: flow compares patches that are not turned."""
+        return Shown(self.views.turned(pose @ np.linalg.inv(self.pose)), pose)
 
 
 def sample(view: NDArray[np.uint8], points: Array, pose: Array, radius: int) -> Array:

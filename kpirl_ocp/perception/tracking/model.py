@@ -7,6 +7,7 @@ noticed; sure matches update the model, and new points replace those that stay h
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -24,6 +25,26 @@ SPACING = 4  # between corners [pixels]
 _BLURRED = 0.6  # share of the detail that a blurred object shows
 _EDGE = 3.0  # points nearer to the image's edge are out of view [pixels]
 _FEWEST = 8
+
+
+class Located(NamedTuple):
+    """An object located in a frame.
+
+    time: [s]. pose: (3, 3) similarity from the first frame. points: (n, 2) [pixels], its points in this frame.
+    found: (n,) which of them were found there and look as they should; none while the object is lost.
+    in_view: (n,) which of them the image should show.
+    """
+
+    time: float
+    pose: Array
+    points: Array
+    found: Mask
+    in_view: Mask
+
+    @property
+    def confidence(self) -> float:
+        """Share of the points in view that were found."""
+        return float(self.found.sum() / max(1, self.in_view.sum()))
 
 
 @dataclass(eq=False)

@@ -4,24 +4,25 @@ From frame to frame its points are followed by optical flow, and the pose is the
 so points that are lost or hidden are restored by the others. A pose counts only if enough points also look as they
 should. It is sure if a chain of sharp matches leads to it from the first frame: in the smooth view a window is as large
 as a small object and holds what is around it, so that view is believed only while the object is blurred. Steps add up
-their errors, so that a match from an early frame corrects them, and where the two are far apart neither is believed.
+their errors: where the whole object looks as in the first frame, it is placed as there; else a match from an early
+frame corrects them. Where two such matches are far apart neither is believed.
 What comes in front of it was seen beside it before; where that is, points are not the object's, and do not vote. What
 looks the same is followed, too, and where the ways do not tell which of them is the object, it does not count as found
-from then on. An object that is lost is found again with the flow from earlier frames, or with its picture in the
-neighbourhood; where several places look alike, none is believed. Until then its place is a guess: by a smooth match, by
-its outline if that is clear, or where it was; no point counts as found.
+from then on. An object that is lost is found again as a whole, with the flow from earlier frames, or with its picture
+in the neighbourhood; where several places look alike, none is believed. Until then its place is a guess: by a smooth
+match, by its outline if that is clear, or where it was; no point counts as found.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from kpirl_ocp.perception.data.video import Frames
-from kpirl_ocp.perception.tracking.appearance import Greys, Memory, Views
+from kpirl_ocp.perception.tracking.alignment import Template
+from kpirl_ocp.perception.tracking.appearance import Memory, Shown, Views
 from kpirl_ocp.perception.tracking.identity.intruders import Intruders
 from kpirl_ocp.perception.tracking.identity.lookalikes import Lookalikes, candidates
 from kpirl_ocp.perception.tracking.identity.matches import (
@@ -29,43 +30,21 @@ from kpirl_ocp.perception.tracking.identity.matches import (
     SURE,
     TOGETHER,
     Match,
+    Matcher,
     clear,
-    matched,
     pose_of,
     unambiguous,
 )
 from kpirl_ocp.perception.tracking.identity.twins import Thing, Twins
-from kpirl_ocp.perception.tracking.model import ObjectModel
-from kpirl_ocp.perception.tracking.similarity import apart, scale, shifted, transform
+from kpirl_ocp.perception.tracking.model import Located, ObjectModel
+from kpirl_ocp.perception.tracking.similarity import apart, shifted, transform
 from kpirl_ocp.types import Array, Mask
 
-_AS_GOOD = 0.8  # share of the points that may be lost by going back to a sure frame
-_NEAR, _FAR = 0.05, 0.25  # gap of matches that say the same, and of those of which one is wrong [size of the object]
-_ALIKE = 0.7  # share that looks as remembered from which a frame is a new reference for later ones
+_AS_GOOD = 0.8  # share of the points that must be kept by going back to a sure frame
+_FAR = 0.25  # gap of two matches of which one is wrong [size of the object]
 _MANY = 100  # points with which no more are looked for
 _RESTS = 1.0  # an object that moves less from one frame to the next is not blurred [pixels]
 _EQUAL = 0.3  # share of the points that look as remembered at a twin
-_GROWTH = 1.25  # largest change of scale from one frame to the next
-
-
-class Located(NamedTuple):
-    """An object located in a frame.
-
-    time: [s]. pose: (3, 3) similarity from the first frame. points: (n, 2) [pixels], its points in this frame.
-    found: (n,) which of them were found there and look as they should; none while the object is lost.
-    in_view: (n,) which of them the image should show.
-    """
-
-    time: float
-    pose: Array
-    points: Array
-    found: Mask
-    in_view: Mask
-
-    @property
-    def confidence(self) -> float:
-        """Share of the points in view that were found."""
-        return float(self.found.sum() / max(1, self.in_view.sum()))
 
 
 def track(frames: Iterable[tuple[float, Frames]], mask: Mask) -> Iterator[Located]:
@@ -87,30 +66,32 @@ def track(frames: Iterable[tuple[float, Frames]], mask: Mask) -> Iterator[Locate
 class _Tracker:
     """State between frames.
 
-    first: the first frame. before: the last one and the pose in it. sure, recent: frames to find the object again from.
-    motion: (3, 3) pose by pose. lost: frames since it was last found. likes: the things that have its colours, itself
-    among them. twins: those that look the same in its points. intruders: what comes in front of it. guessed: whether
-    the last pose is of a match that is not sure.
+    likes: the things that have the object's colours, itself among them. twins: those that look the same in its points.
+    intruders: what comes in front of it. first: the first frame. before: the last one and the pose in it. sure, recent:
+    frames to find the object again from. motion: (3, 3) pose by pose. held: (3, 3) the last pose that was sure. lost:
+    frames since then. guessed: whether the last pose is of a match that is not sure.
     """
 
     model: ObjectModel
+    matcher: Matcher
     likes: Lookalikes
+    twins: Twins
+    intruders: Intruders
     first: Memory
     before: Memory
     sure: Memory
     recent: Memory
     motion: Array
-    twins: Twins
-    intruders: Intruders
+    held: Array
     lost: int = 0
     guessed: bool = False
 
     @classmethod
     def start(cls, views: Views, mask: Mask) -> _Tracker:
-        first = Memory(views, np.eye(3))
-        likes = Lookalikes.of(first, mask)
         model, intruders = ObjectModel.of(views, mask), Intruders.of(views, mask)
-        return cls(model, likes, first, first, first, first, np.eye(3), Twins.of(mask), intruders)
+        matcher, first = Matcher(model, Template.of(views, mask), intruders), Memory(views, np.eye(3))
+        likes, twins = Lookalikes.of(first, mask), Twins.of(mask)
+        return cls(model, matcher, likes, twins, intruders, first, first, first, first, np.eye(3), np.eye(3))
 
     def located(self, time: float, found: Mask) -> Located:
         pose, model = self.before.pose, self.model
@@ -127,6 +108,7 @@ class _Tracker:
             return np.zeros(len(self.model.points), bool)
         self._meet(views, match, self._see(views, match))
         self.motion = np.eye(3) if self.lost else match.pose @ np.linalg.inv(pose)
+        self.held = match.pose
         self.lost, self.guessed, self.before = 0, False, Memory(views, match.pose)
         self.intruders.judge(match.pose)
         return np.zeros_like(match.found) if self.twins.confused else self._learn(match)
@@ -135,7 +117,7 @@ class _Tracker:
         """A match; it is sure if sharp ones lead to it from the first frame, or smooth ones while it is blurred."""
         onward = self._onward(views) if self.guessed or not self.lost else None
         if onward and onward.sure and not self.lost:
-            return self._anchored(views, onward)
+            return self._corrected(views, onward)
         again = self._again(views)
         if onward and not (again and again.sure):
             return replace(onward, sure=False)
@@ -171,7 +153,7 @@ class _Tracker:
                 seen[index] = clear(self._twin(views, twins.others[index], [match.pose]))
             else:
                 ahead = twins.itself.ahead
-                left = clear(self._match(views, self.before.views.grey, self.before.pose, ahead, 0, [at.pose]))
+                left = clear(self.matcher.by_points(views, self._last, 0, guess=ahead, without=[at.pose]))
                 match = replace(left, sure=match.sure) if left else None
         mine = twins.settle(pose_of(match), [pose_of(at) for at in seen])
         return match if mine else None
@@ -180,14 +162,15 @@ class _Tracker:
         """A twin, from the frame before if it was seen there, else as the object was seen."""
         match: Match | None = None
         if not twin.unseen:
-            match = self._match(views, self.before.views.grey, twin.pose, twin.ahead, 0, without, own=False)
-        return match or self._match(views, self.sure.at(twin.ahead), twin.ahead, twin.ahead, 0, without, own=False)
+            there = Shown(self.before.views.grey, twin.pose)
+            match = self.matcher.by_points(views, there, 0, guess=twin.ahead, without=without, own=False)
+        return match or self.matcher.by_points(views, self.sure.at(twin.ahead), 0, without=without, own=False)
 
     def _meet(self, views: Views, match: Match, places: Array) -> None:
         """Take up twins at places (m, 2): things that look like the object in its points, too."""
         for offset in self.twins.unknown(match.pose, places):
             guess = shifted(match.pose, offset)
-            found = self._match(views, self.sure.at(guess), guess, guess, 0, [match.pose], own=False)
+            found = self.matcher.by_points(views, self.sure.at(guess), 0, without=[match.pose], own=False)
             if (
                 found
                 and not self.twins.same(found.pose, match.pose)
@@ -201,77 +184,92 @@ class _Tracker:
         best: Match | None = None
         for level in (0, 1):
             for guess in (self.motion @ pose, pose):
-                match = self._match(views, self.before.views.grey, pose, guess, level)
+                match = self.matcher.by_points(views, self._last, level, guess=guess)
                 if match and (best is None or (match.sure, match.share) > (best.sure, best.share)):
                     best = match
                 if best and best.sure and best.share > SURE:
                     return best
         return best
 
-    def _anchored(self, views: Views, onward: Match) -> Match:
-        """The match from a sure frame, if it is as good or a little elsewhere: steps add up their errors.
+    @property
+    def _last(self) -> Shown:
+        """The frame before."""
+        return Shown(self.before.views.grey, self.before.pose)
 
-        Where it is far away, neither is sure.
+    def _corrected(self, views: Views, onward: Match) -> Match:
+        """The match where the object looks as in the first frame, else by points; far from there none is sure."""
+        whole = self.matcher.as_a_whole(views, onward.pose)
+        if whole is None:
+            return self._anchored(views, onward)
+        self._keep(views, whole)
+        return replace(whole, sure=not self._far(whole, onward))
+
+    def _keep(self, views: Views, match: Match) -> None:
+        """A frame that shows most of the object is one to find it from."""
+        if self.matcher.looks_known(views, match):
+            self.sure = Memory(views, match.pose)
+
+    def _far(self, one: Match, other: Match) -> bool:
+        return apart(one.pose, other.pose, self.model.points) > _FAR * self.twins.size
+
+    def _anchored(self, views: Views, onward: Match) -> Match:
+        """The match from a sure frame, if it is as good: steps add up their errors.
+
+        Where it is far away, neither is sure. Nor is what no such frame confirms while most of the object is hidden.
         """
+        confirmed = False
         for memory in (self.first, self.sure):
-            anchored = self._match(views, memory.at(onward.pose), onward.pose, onward.pose, 0)
+            anchored = self.matcher.by_points(views, memory.at(onward.pose), 0)
             if anchored is None:
                 continue
-            gap = apart(anchored.pose, onward.pose, self.model.points) / self.twins.size
-            if gap > _FAR:
+            if self._far(anchored, onward):
                 return replace(onward, sure=False)
-            if gap > _NEAR or anchored.alike.sum() >= _AS_GOOD * onward.alike.sum():
+            if anchored.alike.sum() >= _AS_GOOD * onward.alike.sum():
                 return anchored
-        if onward.sharp and onward.alike.sum() >= _ALIKE * self.model.in_view(onward.pose, views.sharp.shape).sum():
-            self.sure = Memory(views, onward.pose)
-        return onward
+            confirmed = True
+        self._keep(views, onward)
+        return replace(onward, sure=confirmed or not self.matcher.mostly_hidden(onward))
 
     def _again(self, views: Views) -> Match | None:
-        """A match at the last place, else nearby, from the last sure frame or the last one with a match."""
+        """A match as a whole, or by points: at the last place, at the last that was sure, or near one of them."""
         pose = self.before.pose
-        sharp = self._at_place(views, 0)
-        if sharp:
-            return sharp
+        whole = self._again_as_a_whole(views)
+        if whole:
+            return whole
+        for place in (pose, self.held):
+            if sharp := self._at_place(views, place, 0):
+                return sharp
         matches = [
             match
             for guess in candidates(views, self.sure, pose, self.model.mask, self.lost)
-            for greys in [self.sure.at(guess)]
+            for shown in [self.sure.at(guess)]
             for level in (0, 1)
-            if (match := self._match(views, greys, guess, guess, level)) and not self.likes.is_other(match.pose)
+            if (match := self.matcher.by_points(views, shown, level)) and not self._is_other(match)
         ]
         best = unambiguous(matches)
         if best is None or not best.sharp:
-            best = self._at_place(views, 1) or best
+            best = self._at_place(views, pose, 1) or best
         return replace(best, sure=best.sharp) if best else None
 
-    def _at_place(self, views: Views, level: int) -> Match | None:
-        """A match at the last place, from the last sure frame or the last one with a match."""
-        pose = self.before.pose
+    def _again_as_a_whole(self, views: Views) -> Match | None:
+        """Where the object looks as in the first frame, if that is so in one place only."""
+        nearby = candidates(views, self.sure, self.held, self.model.mask, self.lost)
+        found = [self.matcher.as_a_whole(views, guess) for guess in (self.before.pose, self.held, *nearby)]
+        best = unambiguous([match for match in found if match])
+        if best:
+            self._keep(views, best)
+        return best
+
+    def _is_other(self, match: Match) -> bool:
+        return self.likes.is_other(match.pose, self.lost)
+
+    def _at_place(self, views: Views, pose: Array, level: int) -> Match | None:
+        """A match at a place, from the last sure frame or the last one with a match."""
         for memory in (self.sure, self.recent):
-            match = self._match(views, memory.at(pose), pose, pose, level)
-            if match and not self.likes.is_other(match.pose):
+            match = self.matcher.by_points(views, memory.at(pose), level)
+            if match and not self._is_other(match):
                 return match
         return None
-
-    def _match(
-        self,
-        views: Views,
-        before: Greys,
-        pose_before: Array,
-        guess: Array,
-        level: int,
-        without: Sequence[Array] = (),
-        *,
-        own: bool = True,
-    ) -> Match | None:
-        """The match to which flow from an earlier image leads, of about the size that the object had.
-
-        own: what intruders hide is not the object's; a twin may be one of them.
-        """
-        hidden_by = self.intruders if own else None
-        match = matched(self.model, views, before, pose_before, guess, level, without, hidden_by)
-        growth = scale(match.pose) / scale(self.before.pose) if match else np.inf
-        return match if 1 / _GROWTH < growth < _GROWTH else None
 
     def _learn(self, match: Match) -> Mask:
         """Take from the frame what is sure; gives which points were found.

@@ -18,8 +18,8 @@ from kpirl_ocp.episodes import atomic_write, check_archive
 from kpirl_ocp.errors import DemonstrationError, FileError
 from kpirl_ocp.perception.data.csv_table import read_table
 from kpirl_ocp.perception.data.video import sampled
+from kpirl_ocp.perception.tracking.model import Located
 from kpirl_ocp.perception.tracking.similarity import transform
-from kpirl_ocp.perception.tracking.tracker import Located
 from kpirl_ocp.pictures import Brief
 from kpirl_ocp.sizes import check_bytes
 from kpirl_ocp.types import Array, Mask

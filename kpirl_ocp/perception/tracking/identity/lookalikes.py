@@ -38,7 +38,7 @@ class Lookalikes:
 
     mask: (H, W) the object in the first frame. memory: the last frame in which it was seen well.
     places, velocities: (n, 2) middles [pixels], and their steps from frame to frame; the object's first.
-    unseen: (n,) for how many frames each has not been seen.
+    unseen, seen: (n,) for how many frames in a row each has not been seen, and has been.
     """
 
     mask: Mask
@@ -46,12 +46,13 @@ class Lookalikes:
     places: Array
     velocities: Array
     unseen: NDArray[np.intp]
+    seen: NDArray[np.intp]
 
     @classmethod
     def of(cls, first: Memory, mask: Mask) -> Lookalikes:
         """The object alone, in the first frame."""
         place = transform(first.pose, middle(mask))
-        return cls(mask, first, place[None], np.zeros((1, 2)), np.zeros(1, int))
+        return cls(mask, first, place[None], np.zeros((1, 2)), np.zeros(1, int), np.ones(1, int))
 
     def see(self, now: Memory, *, well: bool) -> Array:
         """Follow the others while the object's pose is known; well: most of the object is seen, and sharp.
@@ -68,6 +69,7 @@ class Lookalikes:
         self.places = np.vstack([self.places[keep], new])
         self.velocities = np.vstack([self.velocities[keep], np.zeros_like(new)])
         self.unseen = np.append(self.unseen[keep], np.zeros(len(new), int))
+        self.seen = np.append(self.seen[keep], np.ones(len(new), int))
         return others
 
     def look(self, views: Views) -> Array | None:
@@ -82,10 +84,10 @@ class Lookalikes:
             return None
         return shifted(self.memory.pose, self.places[0] - transform(self.memory.pose, middle(self.mask)))
 
-    def is_other(self, pose: Array) -> bool:
-        """Whether it is another thing that is seen at a pose (3, 3) of the object."""
+    def is_other(self, pose: Array, frames: int) -> bool:
+        """Whether another thing is at a pose (3, 3) of the object that has been seen in all of the last frames."""
         gaps = np.linalg.norm(self.places - transform(pose, middle(self.mask)), axis=1)
-        return bool(((gaps < _CLEAR) & (self.unseen == 0))[1:].any())
+        return bool(((gaps < _CLEAR) & (self.seen > frames))[1:].any())
 
     def _detect(self, views: Views) -> Array:
         """Middles (m, 2) [pixels] of the things of the object's kind in a frame."""
@@ -120,6 +122,7 @@ class Lookalikes:
         self.velocities[seen] += _NEWEST * (steps - self.velocities[seen])
         self.velocities[~seen] *= _FADING
         self.unseen = np.where(seen, 0, self.unseen + 1)
+        self.seen = np.where(seen, self.seen + 1, 0)
 
 
 def candidates(views: Views, memory: Memory, pose: Array, mask: Mask, lost: int) -> list[Array]:

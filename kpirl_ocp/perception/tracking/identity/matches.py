@@ -1,4 +1,4 @@
-"""Where an object is found by optical flow from an earlier image, and which of several such places is believed."""
+"""Where an object is found, by flow from an earlier image or as a whole, and which of several places is believed."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kpirl_ocp.perception.tracking.appearance import Greys, Views
+from kpirl_ocp.perception.tracking.alignment import Template
+from kpirl_ocp.perception.tracking.appearance import Shown, Views
 from kpirl_ocp.perception.tracking.identity.intruders import Intruders
 from kpirl_ocp.perception.tracking.model import ObjectModel
 from kpirl_ocp.perception.tracking.optical_flow import follow
-from kpirl_ocp.perception.tracking.similarity import fit, transform
+from kpirl_ocp.perception.tracking.similarity import fit, scale, transform
 from kpirl_ocp.types import Array, Mask
 
 _WINDOWS, _GAPS, _TOLERANCES = (21, 41), (1.0, 2.0), (1.0, 3.0)  # sharp and smooth [pixels]
@@ -20,6 +21,11 @@ _FEWEST = 8  # points that must be found
 SEEN = 0.12  # share of the points in view that must be found
 TOGETHER = 0.8  # share that moves as one from which nothing else is asked: light and mirror images change looks
 SURE = 0.4  # share with which no better match is looked for
+_GROWTH = 1.25  # largest change of scale from a guess
+_WHOLE = (
+    0.9  # correlation from which an object looks as in the first frame: it is turned, hidden or lit otherwise below
+)
+_KNOWN = 0.7  # share that looks as remembered from which a frame is a new reference for later ones
 _APART, _RIVAL = 15.0, 0.7  # another place [pixels] is a rival with this share of the best one's points
 
 
@@ -38,36 +44,64 @@ class Match:
     sure: bool
 
 
-def matched(
-    model: ObjectModel,
-    views: Views,
-    before: Greys,
-    pose_before: Array,
-    guess: Array,
-    level: int,
-    without: Sequence[Array] = (),
-    hidden_by: Intruders | None = None,
-) -> Match | None:
-    """The pose to which flow from an earlier image leads, if enough points agree and look right.
+@dataclass(frozen=True, eq=False)
+class Matcher:
+    """Finds an object in an image. whole: all of it in the first frame. intruders: what may be in front of it."""
 
-    Args:
-        before, pose_before: the earlier image, sharp and smooth, and the pose (3, 3) there.
-        guess: (3, 3) where about the object may be now.
-        level: 0: sharp, 1: smooth.
-        without: poses (3, 3) of other things, whose points are theirs.
-        hidden_by: what may be in front of the object.
-    """
-    shape = views.sharp.shape
-    chosen = np.flatnonzero(model.in_view(pose_before, shape))
-    points = model.points[chosen]
-    start, end = transform(pose_before, points), transform(guess, points)
-    places, held = follow(before[level], views.grey[level], start, end, _WINDOWS[level], _GAPS[level])
-    for pose in without:
-        held &= np.linalg.norm(transform(pose, points) - places, axis=1) > 2 * _TOLERANCES[level]
-    if hidden_by:
-        held &= ~hidden_by.hide(places)
-    agreed = fit(points[held], places[held], _TOLERANCES[level])
-    return None if agreed is None else _judged(model, views, agreed[0], chosen[held][agreed[1]], level)
+    model: ObjectModel
+    whole: Template
+    intruders: Intruders
+
+    def by_points(
+        self,
+        views: Views,
+        earlier: Shown,
+        level: int,
+        *,
+        guess: Array | None = None,
+        without: Sequence[Array] = (),
+        own: bool = True,
+    ) -> Match | None:
+        """The pose to which flow from an earlier image leads, if enough points agree and look right.
+
+        Args:
+            level: 0: the sharp view, 1: the smooth one.
+            guess: (3, 3) where about the object may be, and about how large; by default as it was.
+            without: poses (3, 3) of other things, whose points are theirs.
+            own: points that intruders hide are not the object's; those of its twin may be, which may be an intruder.
+        """
+        model, guess = self.model, earlier.pose if guess is None else guess
+        chosen = np.flatnonzero(model.in_view(earlier.pose, views.sharp.shape))
+        points = model.points[chosen]
+        start, end = transform(earlier.pose, points), transform(guess, points)
+        window, gap, tolerance = _WINDOWS[level], _GAPS[level], _TOLERANCES[level]
+        places, held = follow(earlier.grey[level], views.grey[level], start, end, window, gap)
+        for pose in without:
+            held &= np.linalg.norm(transform(pose, points) - places, axis=1) > 2 * tolerance
+        if own:
+            held &= ~self.intruders.hide(places)
+        agreed = fit(points[held], places[held], tolerance)
+        if agreed is None or not 1 / _GROWTH < scale(agreed[0]) / scale(guess) < _GROWTH:
+            return None
+        return _judged(model, views, agreed[0], chosen[held][agreed[1]], level)
+
+    def as_a_whole(self, views: Views, guess: Array) -> Match | None:
+        """The pose near a guess (3, 3) at which the whole object looks as in the first frame, in which no step errs."""
+        pose, correlation = self.whole.align(views, guess)
+        in_view = self.model.in_view(pose, views.sharp.shape)
+        alike = self.model.alike(views, pose, np.arange(len(in_view))) & in_view
+        if correlation < _WHOLE or alike.sum() < _FEWEST:
+            return None
+        return Match(pose, alike, alike, alike.sum() / in_view.sum(), sharp=True, sure=True)
+
+    def mostly_hidden(self, match: Match) -> bool:
+        """Whether intruders hide more of the object's points than were found."""
+        return bool(self.intruders.hide(transform(match.pose, self.model.points)).sum() >= match.found.sum())
+
+    def looks_known(self, views: Views, match: Match) -> bool:
+        """Whether a sharp match shows most of the object as remembered: a frame for later ones to be compared with."""
+        in_view = self.model.in_view(match.pose, views.sharp.shape)
+        return match.sharp and bool(match.alike.sum() >= _KNOWN * in_view.sum())
 
 
 def _judged(model: ObjectModel, views: Views, pose: Array, inliers: NDArray[np.intp], level: int) -> Match | None:
