@@ -257,13 +257,12 @@ int kpirl_mpc_solved(const kpirl_mpc_core *core);
 int kpirl_mpc_acceptable(const kpirl_mpc_core *core);
 int kpirl_mpc_idle(kpirl_mpc_core *core);
 
-/* curvature */
+/* curvature: off a point that is no minimum, and steps where the Hessian is not positive: is there one? Weights for them */
 int kpirl_mpc_escape(kpirl_mpc_core *core, real shortest);
 real kpirl_mpc_largest_curvature(const kpirl_mpc_core *core);
-
-/* regularisation: returns whether there is a step */
 int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation, int indefinite);
 real kpirl_mpc_stronger(const kpirl_mpc_core *core);
+real kpirl_mpc_unit_weight(const kpirl_mpc_core *core);
 
 /* line search: the derivative of the barrier function along the step; `least` is the tau to stop at. The others return whether
  * they moved. */
@@ -288,12 +287,13 @@ void kpirl_mpc_harden(kpirl_mpc_core *core);
 typedef enum { KPIRL_MPC_NOT_RESTORED, KPIRL_MPC_RESTORED, KPIRL_MPC_SHOWN_INFEASIBLE } kpirl_mpc_restoration;
 kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core);
 
-/* one solve: the tau to start from here; is the time over? A line of the log */
+/* one solve: until the conditions hold or the method is stuck; fixed steps; attempts; tau to start from here; is the time over? */
+kpirl_mpc_status kpirl_mpc_converge(kpirl_mpc_core *core);
+kpirl_mpc_status kpirl_mpc_advance(kpirl_mpc_core *core);
+kpirl_mpc_status kpirl_mpc_attempt(kpirl_mpc_core *core, const kpirl_mpc_start *start);
 real kpirl_mpc_start_tau(const kpirl_mpc_core *core);
 int kpirl_mpc_core_late(const kpirl_mpc_core *core);
 void kpirl_mpc_log_iteration(const kpirl_mpc_core *core);
-
-/* filter */
 void kpirl_mpc_start_filter(kpirl_mpc_core *core);
 int kpirl_mpc_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, kpirl_mpc_merit trial);
 

@@ -8,11 +8,8 @@
 
 #include <string.h>
 
-static const real WARM = (real)1e-3;      /* largest tau of a warm start */
 static const real SHORTEST = (real)1e-10;  /* step off a point that is no minimum */
 static const real FAR = (real)1e12;       /* |x|, or multipliers relative to the gradient of J, beyond which an iterate has diverged */
-static const int LONG = 30;               /* iterations along the dynamics before another attempt */
-static const int RESTORATIONS = 5;        /* in one solve, twice */
 
 static int finite(const kpirl_mpc_core *core) {
   const kpirl_mpc_derivatives *d = &core->d;
@@ -79,7 +76,7 @@ static int multipliers_diverged(const kpirl_mpc_core *core) {
          core->d.violation > core->filter.small;
 }
 
-static kpirl_mpc_status converge(kpirl_mpc_core *core) {
+kpirl_mpc_status kpirl_mpc_converge(kpirl_mpc_core *core) {
   for (;; ++core->iterations) {
     if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
     if (kpirl_mpc_solved(core)) {
@@ -99,7 +96,7 @@ static kpirl_mpc_status converge(kpirl_mpc_core *core) {
 }
 
 /* Full Newton steps, cut only where a slack or multiplier would become negative. */
-static kpirl_mpc_status advance(kpirl_mpc_core *core) {
+kpirl_mpc_status kpirl_mpc_advance(kpirl_mpc_core *core) {
   const int n_w = kpirl_mpc_n_point(core), m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
   const int n_costates = DIM(core, horizon) * DIM(core, n_states);
   int i;
@@ -124,150 +121,6 @@ static kpirl_mpc_status advance(kpirl_mpc_core *core) {
   return kpirl_mpc_solved(core) ? KPIRL_MPC_CONVERGED : KPIRL_MPC_STEPS_TAKEN;
 }
 
-/* As small as the guess is good, so that a solution stays one; at most WARM, so that a guess counts. */
-static real warm_barrier(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
-  const real final = (real)core->options.tolerance / 10;
-  kpirl_mpc_residuals residuals;
-  real error;
-  kpirl_mpc_warm_start(core, start, final);
-  kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
-  kpirl_mpc_find_residuals(core, 0, &residuals);
-  error = kpirl_mpc_worst(&residuals);
-  return isfinite(error) ? kpirl_mpc_smaller(kpirl_mpc_larger(error, final), WARM) : WARM;
-}
-
-/* The multipliers to begin with: those of the start; of the barrier, tau / y; or light ones, see kpirl_mpc_begin_lightly. */
-typedef enum { OF_START, OF_BARRIER, LIGHT } multipliers;
-
-/* The iterate, its derivatives and a new filter. */
-static void begin(kpirl_mpc_core *core, const kpirl_mpc_start *start, multipliers z) {
-  const real barrier = (real)core->options.barrier;
-  real tau = barrier;
-  if (z == OF_START) {
-    if (barrier <= 0) tau = warm_barrier(core, start);
-    kpirl_mpc_warm_start(core, start, tau);
-  } else {
-    kpirl_mpc_cold_start(core, start->x);
-    if (barrier <= 0) {
-      kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
-      tau = kpirl_mpc_start_tau(core);
-    }
-  }
-  core->no_costates = z != OF_START;
-  if (z == LIGHT && barrier <= 0)
-    kpirl_mpc_begin_lightly(core, tau);
-  else
-    kpirl_mpc_begin_here(core, tau);
-}
-
-static int stuck(kpirl_mpc_status status) {
-  return status == KPIRL_MPC_STALLED || status == KPIRL_MPC_INFEASIBLE || status == KPIRL_MPC_DIVERGED ||
-         status == KPIRL_MPC_NOT_FINITE;
-}
-
-int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core) {
-  return core->lifted && !core->options.steps && core->penalty <= 0 &&
-         kpirl_mpc_absolute_sum(core->d.defects, DIM(core, horizon) * DIM(core, n_states)) > core->filter.small;
-}
-
-/* With feasibility restoration where the method gets stuck and knows no other way. */
-static kpirl_mpc_status converge_restoring(kpirl_mpc_core *core) {
-  kpirl_mpc_status status = converge(core);
-  int i;
-  for (i = 0; i < RESTORATIONS && stuck(status) && !kpirl_mpc_off_dynamics(core); ++i) {
-    const kpirl_mpc_restoration restoration = kpirl_mpc_restore(core);
-    if (restoration == KPIRL_MPC_SHOWN_INFEASIBLE) return KPIRL_MPC_INFEASIBLE;
-    if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
-    if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
-    if (restoration == KPIRL_MPC_NOT_RESTORED) return status;
-    kpirl_mpc_begin_here(core, kpirl_mpc_smaller(core->tau, kpirl_mpc_start_tau(core)));
-    status = converge(core);
-  }
-  return status;
-}
-
-static int given_up(const kpirl_mpc_core *core, kpirl_mpc_status status) {
-  return stuck(status) && status != KPIRL_MPC_INFEASIBLE && (status != KPIRL_MPC_NOT_FINITE || core->iterations > 0);
-}
-
-/* Replace states of the guess by those that its actions lead to; 0 where that changes nothing or they are not finite. */
-static int roll_guess_out(kpirl_mpc_core *core, const kpirl_mpc_start *guess, kpirl_mpc_start *rolled) {
-  const size_t size = (size_t)kpirl_mpc_n_point(core) * sizeof(real);
-  real *x = core->trial.x;
-  *rolled = *guess;
-  rolled->x = x;
-  if (!guess->x) return 0;
-  memcpy(x, guess->x, size);
-  kpirl_mpc_roll_out(core, x);
-  return kpirl_mpc_all_finite(x, kpirl_mpc_n_point(core)) && memcmp(x, guess->x, size) != 0;
-}
-
-/* Begin again from where the method stands, without its costates. */
-static void begin_again(kpirl_mpc_core *core) {
-  memset(core->at.costates, 0, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
-  core->no_costates = 1;
-  kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
-  kpirl_mpc_begin_here(core, kpirl_mpc_start_tau(core));
-}
-
-/* Lifted from the guess, with the costates that are stationary there: its Hessian is that of the problem, and steps are short where
- * that is not positive. */
-static kpirl_mpc_status follow_costates(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
-  begin(core, guess, LIGHT);
-  kpirl_mpc_estimate_costates(core);
-  core->no_costates = 0;
-  kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
-  return converge_restoring(core);
-}
-
-/* Along the dynamics from the guess; where that takes long, with multipliers of the barrier. */
-static kpirl_mpc_status follow_dynamics(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
-  const int most = core->options.max_iterations, left = most - core->iterations;
-  kpirl_mpc_status status;
-  begin(core, guess, LIGHT);
-  core->options.max_iterations = core->iterations + (left < LONG ? left : LONG);
-  status = converge_restoring(core);
-  core->options.max_iterations = most;
-  if (status != KPIRL_MPC_ITERATION_LIMIT || core->iterations >= most) return status;
-  begin(core, guess, OF_BARRIER);
-  return converge_restoring(core);
-}
-
-/* With lifted steps; where they get stuck, once more with costates; then with steps along the dynamics: from there if there was a
- * step, which led nowhere, then from the guess, and then from where its actions lead. A warm start that gets stuck begins again
- * first, cold, from its trajectory. A point that is stationary for the violation shows nothing of other places: where lifted steps
- * lead to one, steps along the dynamics from the guess have the last word. */
-static kpirl_mpc_status plan(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
-  int warm = start->costates != NULL;
-  kpirl_mpc_start rolled;
-  kpirl_mpc_status status;
-  core->lifted = 1;
-  begin(core, start, warm ? OF_START : LIGHT);
-  if (core->options.steps) return advance(core);
-  if (warm) {
-    status = converge(core);
-    if (!stuck(status)) return status;
-    begin(core, start, LIGHT);
-  }
-  status = converge_restoring(core);
-  if (given_up(core, status)) status = follow_costates(core, start);
-  if (status == KPIRL_MPC_INFEASIBLE) {
-    core->lifted = 0;
-    return follow_dynamics(core, start);
-  }
-  if (!given_up(core, status)) return status;
-  core->lifted = 0;
-  if (status == KPIRL_MPC_STALLED && core->step.positive) {
-    begin_again(core);
-    status = converge_restoring(core);
-    if (!given_up(core, status)) return status;
-  }
-  status = follow_dynamics(core, start);
-  if (!given_up(core, status) || !roll_guess_out(core, start, &rolled)) return status;
-  begin(core, &rolled, LIGHT);
-  return converge_restoring(core);
-}
-
 kpirl_mpc_status kpirl_mpc_core_solve(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers,
                                       const kpirl_mpc_options *options, const kpirl_mpc_start *start,
                                       kpirl_mpc_residuals *residuals) {
@@ -280,7 +133,7 @@ kpirl_mpc_status kpirl_mpc_core_solve(kpirl_mpc_core *core, const kpirl_mpc_numb
   core->penalty = 0;
   core->iterations = core->trials = 0;
   core->started = options->now ? options->now(options->clock) : 0;
-  status = plan(core, start);
+  status = kpirl_mpc_attempt(core, start);
   kpirl_mpc_find_residuals(core, barrier, residuals);
   return status;
 }

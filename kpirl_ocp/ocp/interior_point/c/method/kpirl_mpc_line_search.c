@@ -58,14 +58,29 @@ static int contradictory(const kpirl_mpc_core *core) {
          KPIRL_MPC_PROXIMAL * kpirl_mpc_largest(core->step.change.nu, n_c) > LEFT * violation;
 }
 
-/* Move by the longest length that the filter accepts, if there is one above a fraction `least` of the whole step. */
+/* The lifted trial violates the constraints more, to second order. One along the dynamics leaves (1 - length) of their defects, as the
+ * linearised step would. The objective may rise for that, by what the violation that is gone costs at the largest costate. */
+static int corrected_fits(kpirl_mpc_core *core, kpirl_mpc_merit before, real slope, real length) {
+  kpirl_mpc_merit trial;
+  real price;
+  ++core->trials;
+  kpirl_mpc_try(core, length, 0, &trial);
+  price = kpirl_mpc_largest(core->trial.costates, DIM(core, horizon) * DIM(core, n_states));
+  return trial.phi + price * trial.theta <= before.phi + price * before.theta &&
+         kpirl_mpc_accepts(&core->filter, before, slope, length, trial);
+}
+
+/* Move by the longest length that the filter accepts, if there is one above a fraction `least` of the whole step; far from
+ * feasible points also above rounding, which comes no nearer. */
 static int move_along(kpirl_mpc_core *core, real least) {
   const kpirl_mpc_step *step = &core->step;
   const int n_w = kpirl_mpc_n_point(core);
   const real largest = kpirl_mpc_largest(step->change.x, n_w);
-  const int tiny = step->regularisation == 0 && largest <= TINY * (1 + kpirl_mpc_largest(core->at.x, n_w)) && !contradictory(core);
+  const real size = 1 + kpirl_mpc_largest(core->at.x, n_w);
+  const int tiny = step->regularisation == 0 && largest <= TINY * size && !contradictory(core);
   const real slope = kpirl_mpc_slope(core);
-  const real shortest = kpirl_mpc_larger(SHORTEST, least * step->primal_length);
+  const real rounding = !tiny && core->d.violation > core->filter.small ? ROUNDING * size / largest : 0;
+  const real shortest = kpirl_mpc_larger(kpirl_mpc_larger(SHORTEST, rounding), least * step->primal_length);
   real length = step->primal_length;
   kpirl_mpc_merit before, trial;
   before.theta = core->d.violation;
@@ -74,7 +89,9 @@ static int move_along(kpirl_mpc_core *core, real least) {
   while (length >= shortest) {
     ++core->trials;
     kpirl_mpc_try(core, length, core->lifted, &trial);
-    if ((tiny && isfinite(trial.phi)) || kpirl_mpc_accepts(&core->filter, before, slope, length, trial)) {
+    if ((tiny && isfinite(trial.phi)) || kpirl_mpc_accepts(&core->filter, before, slope, length, trial) ||
+        (isfinite(trial.phi) && trial.theta >= before.theta && kpirl_mpc_off_dynamics(core) &&
+         corrected_fits(core, before, slope, length))) {
       core->step.primal_length = length;
       kpirl_mpc_arrive(core, KPIRL_MPC_SECOND);
       return 1;
