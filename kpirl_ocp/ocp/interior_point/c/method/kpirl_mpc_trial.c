@@ -15,7 +15,8 @@ static const real NOTHING = (real)1e-3;   /* what a Newton step leaves of a slac
 /* What remains of g + y where a constraint has no interior, because no decision moves it (a bound on which a system at rest begins)
  * or it leaves one point: a slack of the tolerance at g = 0. If it vanished, its multiplier would grow without bound. */
 real kpirl_mpc_room(const kpirl_mpc_core *core, real g, real y) {
-  return y <= 2 * (real)core->options.tolerance && kpirl_mpc_abs(g) <= y / 2 ? g + y : 0;
+  const real tolerance = (real)core->options.tolerance;
+  return y >= tolerance / 2 && y <= 2 * tolerance && kpirl_mpc_abs(g) <= y / 2 ? g + y : 0;
 }
 
 /* Of a bounded entry of x; that of a value of h is not known. */
