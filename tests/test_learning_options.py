@@ -267,6 +267,14 @@ def test_a_callback_sees_every_step_and_can_end_learning():
     assert not result.interrupted
 
 
+def test_a_checkpoint_of_more_steps_than_are_wanted_is_refused(tmp_path):
+    arguments, path = (mass(8), [demonstrate(8)], START, Implicit()), tmp_path / "learning.npz"
+    quiet(*arguments, steps=3, checkpoint=path)
+    assert len(quiet(*arguments, steps=3, checkpoint=path).losses) == 4
+    with pytest.raises(FileError, match=r"learning\.npz holds 3 steps, more than the 2 that are wanted"):
+        quiet(*arguments, steps=2, checkpoint=path)
+
+
 def test_an_interruption_keeps_the_best_and_the_checkpoint(tmp_path):
     def interrupt(state):
         if len(state.memory[1]) and state.memory[0] == 4:

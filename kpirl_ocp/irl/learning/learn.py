@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import Hypergradient, HypergradientResult
 from kpirl_ocp.irl.hypergradients.implicit import Implicit
 from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
@@ -183,7 +183,7 @@ def learn(
 
     Raises:
         CertificateError: a gradient was not certified and the hypergradient's policy is "raise".
-        FileError: the checkpoint is damaged, of another learning, or cannot be written.
+        FileError: the checkpoint is damaged, of another learning, longer than `steps`, or cannot be written.
         ProblemError: arguments that do not fit.
     """
     check_run(steps, callback)
@@ -193,6 +193,11 @@ def learn(
     file = Checkpoint(checkpoint, "" if checkpoint is None else learner.fingerprint(psi0))
     saved = file.load()
     state, history = (LearningState(*saved[:3]), saved.history) if saved else (None, [])
+    if len(history) - 1 > steps:
+        raise FileError(
+            f"{file.path} holds {len(history) - 1} steps, more than the {steps} that are wanted: ask for at least as "
+            "many, or give another path."
+        )
     begun = time.perf_counter() - (history[-1][1] if history else 0.0)
     interrupted = False
 
