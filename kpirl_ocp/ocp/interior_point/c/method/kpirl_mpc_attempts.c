@@ -158,18 +158,28 @@ static kpirl_mpc_status lift(kpirl_mpc_core *core, const kpirl_mpc_start *guess)
   return kpirl_mpc_converge(core);
 }
 
-/* Along the dynamics, with costates: from the guess, then from where that got stuck because no step length was accepted, then from
- * where the actions of the guess lead. */
-static kpirl_mpc_status follow(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
-  kpirl_mpc_start rolled;
+/* Along the dynamics from where lifted steps got stuck, for half of the iterations that are left. */
+static kpirl_mpc_status go_on(kpirl_mpc_core *core) {
+  const int most = core->options.max_iterations;
   kpirl_mpc_status status;
+  begin_again(core);
+  core->options.max_iterations = core->iterations + (most - core->iterations) / 2;
+  status = converge_restoring(core);
+  core->options.max_iterations = most;
+  return status;
+}
+
+/* Along the dynamics: from where lifted steps got stuck if no length of a step was accepted there, unless that shows a point to be
+ * infeasible, which says nothing of others; then with costates, from the guess and from where its actions lead. */
+static kpirl_mpc_status follow(kpirl_mpc_core *core, const kpirl_mpc_start *guess, kpirl_mpc_status status) {
+  kpirl_mpc_start rolled;
   core->lifted = 0;
+  if (status == KPIRL_MPC_STALLED && core->step.positive) {
+    status = go_on(core);
+    if (!stuck(status) && (status != KPIRL_MPC_ITERATION_LIMIT || core->iterations >= core->options.max_iterations)) return status;
+  }
   begin_with_costates(core, guess);
   status = converge_restoring(core);
-  if (status == KPIRL_MPC_STALLED && core->step.positive) {
-    begin_again(core);
-    status = converge_restoring(core);
-  }
   if (!given_up(core, status) || !roll_guess_out(core, guess, &rolled)) return status;
   begin_with_costates(core, &rolled);
   return converge_restoring(core);
@@ -190,5 +200,5 @@ kpirl_mpc_status kpirl_mpc_attempt(kpirl_mpc_core *core, const kpirl_mpc_start *
     if (!stuck(status)) return status;
   }
   status = lift(core, start);
-  return given_up(core, status) ? follow(core, start) : status;
+  return given_up(core, status) ? follow(core, start, status) : status;
 }
