@@ -91,7 +91,7 @@ test: .venv/installed-test
 
 # The C sources as well: the core is built anew after a pull that changes them.
 .venv/installed: pyproject.toml constraints.txt setup.py $(wildcard $(addsuffix /*.[ch],\
-		$(addprefix kpirl_ocp/ocp/interior_point/c,/algebra /method) kpirl_ocp/ocp/interior_point/c kpirl_ocp/ocp/sensitivity/c))
+		kpirl_ocp/ocp/interior_point/c kpirl_ocp/ocp/interior_point/c/* kpirl_ocp/ocp/sensitivity/c))
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
 	touch $@

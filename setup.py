@@ -19,7 +19,8 @@ from setuptools.errors import CompileError
 FLAGS = ["-std=c99", "-O3", "-fno-math-errno", "-fno-trapping-math", "-fno-wrapv", "-ffp-contract=fast"]
 CORE = "kpirl_ocp.ocp.interior_point._core"
 METHOD = "kpirl_ocp/ocp/interior_point/c"
-FOLDERS = [METHOD, f"{METHOD}/algebra", f"{METHOD}/method", "kpirl_ocp/ocp/sensitivity/c"]
+PARTS = ("algebra", "method", "globalisation", "library")
+FOLDERS = [METHOD, *(f"{METHOD}/{part}" for part in PARTS), "kpirl_ocp/ocp/sensitivity/c"]
 SOURCES = sorted(path for folder in FOLDERS for path in glob(f"{folder}/*.c"))
 HEADERS = sorted(path for folder in FOLDERS for path in glob(f"{folder}/*.h"))
 # One build for each level of the x86-64 psABI; the package loads the best one that the processor runs.

@@ -42,10 +42,10 @@ def read(name: str) -> str:
 def core_files() -> dict[str, str]:
     """The C files of the interior-point method that an export consists of, name -> text."""
     folder = files("kpirl_ocp.ocp") / "interior_point" / "c"
-    # Two are for Python, the last is made for constants here.
-    own = (f"{PREFIX}_library.", f"{PREFIX}_tapes.", f"{PREFIX}_dimensions.")
-    folders = [folder, *(path for path in folder.iterdir() if path.is_dir())]
-    found = [path for each in folders for path in each.iterdir() if path.is_file() and not path.name.startswith(own)]
+    of_python, of_constants = "library", f"{PREFIX}_dimensions."  # the latter is made for constants here
+    folders = [folder, *(path for path in folder.iterdir() if path.is_dir() and path.name != of_python)]
+    files_in = (path for each in folders for path in each.iterdir() if path.is_file())
+    found = [path for path in files_in if not path.name.startswith(of_constants)]
     return {path.name: path.read_text() for path in sorted(found, key=lambda path: path.name)}
 
 

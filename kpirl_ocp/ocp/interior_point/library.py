@@ -1,4 +1,4 @@
-"""The core's shared library, and its structures in ctypes (`c/kpirl_mpc_core.h`, `c/kpirl_mpc_library.h`)."""
+"""The core's shared library, and its structures in ctypes (`c/kpirl_mpc_core.h`, `c/library/kpirl_mpc_library.h`)."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 CasADi's virtual machine and tapes evaluate functions without a compiler, machine code does it several times faster,
 equal to the last bit, since none of them contracts or reorders operations. So a solve need not know what it runs on,
 and a compiler may work in the background: it starts once a problem has been evaluated often enough to show that it will
-be used.
-Large networks get faster kernels that round differently, so they are compiled before the first solve, or never.
+be used. Large networks get faster kernels that round differently, so they are compiled before the first solve, or
+never.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
 
 REPAID = 1_000  # evaluations of a stage after which reading its operations has taken less time than it saves
-# In the order of `c/kpirl_mpc_tapes.c`.
+# In the order of `c/library/kpirl_mpc_tapes.c`.
 KINDS = [
     *(ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT),
     *(ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_FMOD, ca.OP_REMAINDER),
@@ -31,7 +31,6 @@ KINDS = [
     *(ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATAN),
     *(ca.OP_SINH, ca.OP_COSH, ca.OP_TANH, ca.OP_ASINH, ca.OP_ACOSH, ca.OP_ATANH),
 ]
-_LANES = 8
 _INPUTS = ("x", "actions", "psi", "context", "schedule", "costates", "z", "nu")  # x: entries of the state
 
 
@@ -53,7 +52,7 @@ class Tapes:
 
     def __init__(self, stage: Tape, last: Tape, dimensions: Any, schedule: Array) -> None:
         """schedule: (T+1, n_d), contiguous."""
-        slots = np.zeros((max(stage.slots, last.slots), _LANES))
+        slots = np.zeros((max(stage.slots, last.slots), c.library().kpirl_mpc_lanes()))
         costs = np.zeros(dimensions.horizon + 1)
         self._kept = [stage, last, schedule, slots, costs]
         addresses = [c.address_of(array) for array in (schedule, slots, costs)]

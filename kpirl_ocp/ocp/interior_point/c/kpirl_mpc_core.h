@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT
  *
- * The interior-point method: its memory, and the functions that it is made of.
+ * What the interior-point method works on: its memory, and the problem at an iterate. See kpirl_mpc_method.h for its parts.
  *
  * The unknowns x = (x_0, .., x_{T-1}, s_T), x_t = (s_t, u_t), are one array. Inequalities g(x) <= 0 are the finite lower
  * bounds, the finite upper bounds, then h and h_T, with slacks y > 0 and multipliers z > 0. Equalities are entries of x whose
@@ -206,95 +206,11 @@ void kpirl_mpc_path_times(const kpirl_mpc_core *core, const real *matrix, int ro
 void kpirl_mpc_path_push(const kpirl_mpc_core *core, const real *matrix, int rows, int last_rows, const real *forces,
                          real *pushed);
 
-/* start */
-void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x);
-void kpirl_mpc_estimate_costates(kpirl_mpc_core *core);
-void kpirl_mpc_begin_here(kpirl_mpc_core *core, real tau);
-void kpirl_mpc_begin_lightly(kpirl_mpc_core *core, real tau);
-void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, real tau);
-
 /* derivatives */
 void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level);
 void kpirl_mpc_find_residuals(const kpirl_mpc_core *core, real tau, kpirl_mpc_residuals *residuals);
 /* of all constraints, elastic ones too */
 real kpirl_mpc_largest_violation(const kpirl_mpc_core *core);
 int kpirl_mpc_subproblem_solved(const kpirl_mpc_core *core); /* for core->tau, as far as tau is to fall */
-
-/* newton */
-/* delta: of equalities, see kpirl_mpc_newton.c. Its inverse is added to numbers of size one, so that it has to leave some digits
- * of them. */
-#ifdef KPIRL_MPC_FLOAT
-#define KPIRL_MPC_PROXIMAL ((real)1e-4)
-#else
-#define KPIRL_MPC_PROXIMAL ((real)1e-9)
-#endif
-#define KPIRL_MPC_BOUNDARY ((real)0.99) /* the smallest fraction to the boundary */
-/* The factors of the condensed Hessian; returns whether it is positive along the dynamics. */
-int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation);
-void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation);
-/* The step for these factors and core->target, what y z is to become; then its lengths, with the fraction to the boundary. */
-void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change);
-real kpirl_mpc_longest(const real *value, const real *change, int count, real share);
-void kpirl_mpc_limit_lengths(kpirl_mpc_core *core);
-
-/* corrector: `least` is the tau to stop at */
-void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least);
-
-/* Are steps lifted, and off the dynamics so far? Steps along the dynamics are the other way then. */
-int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core);
-
-/* trial */
-void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit);
-real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length);
-void kpirl_mpc_centre(kpirl_mpc_core *core);
-real kpirl_mpc_room(const kpirl_mpc_core *core, real g, real y); /* what steps leave of g + y: of constraints without interior */
-real kpirl_mpc_hard_log_sum(const kpirl_mpc_core *core, const real *y);
-
-/* termination: the tau to stop at; the largest residual; do the conditions hold, or up to rounding; is there no progress any more? */
-real kpirl_mpc_final_tau(const kpirl_mpc_core *core);
-real kpirl_mpc_worst(const kpirl_mpc_residuals *r);
-int kpirl_mpc_solved(const kpirl_mpc_core *core);
-int kpirl_mpc_acceptable(const kpirl_mpc_core *core);
-int kpirl_mpc_idle(kpirl_mpc_core *core);
-
-/* curvature: off a point that is no minimum, and steps where the Hessian is not positive: is there one? Weights for them */
-int kpirl_mpc_escape(kpirl_mpc_core *core, real shortest);
-real kpirl_mpc_largest_curvature(const kpirl_mpc_core *core);
-int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation, int indefinite);
-real kpirl_mpc_stronger(const kpirl_mpc_core *core);
-real kpirl_mpc_unit_weight(const kpirl_mpc_core *core);
-
-/* line search: the derivative of the barrier function along the step; `least` is the tau to stop at. The others return whether
- * they moved. */
-real kpirl_mpc_slope(const kpirl_mpc_core *core);
-int kpirl_mpc_newton_iterate(kpirl_mpc_core *core, int indefinite);
-int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least);
-/* Go to the trial point; `level` says how much to find out about it. */
-void kpirl_mpc_arrive(kpirl_mpc_core *core, int level);
-
-/* elastic: is an inequality replaced by its penalty? The penalty at values of g and c; slacks and multipliers at an iterate;
- * what the step does to it; the end of it. */
-int kpirl_mpc_is_elastic(const kpirl_mpc_core *core, int row);
-int kpirl_mpc_has_elastic(const kpirl_mpc_core *core); /* is there one that could be? */
-void kpirl_mpc_measure_rows(kpirl_mpc_core *core); /* before elastic mode begins */
-real kpirl_mpc_penalty(const kpirl_mpc_core *core, const real *g, const real *c);
-void kpirl_mpc_relax(kpirl_mpc_core *core);
-void kpirl_mpc_let_go(kpirl_mpc_core *core);
-void kpirl_mpc_harden(kpirl_mpc_core *core);
-
-/* restoration: is most of the violation gone, so that the method proper can go on from these slacks? Shown infeasible: stationary
- * for the violation */
-typedef enum { KPIRL_MPC_NOT_RESTORED, KPIRL_MPC_RESTORED, KPIRL_MPC_SHOWN_INFEASIBLE } kpirl_mpc_restoration;
-kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core);
-
-/* one solve: until the conditions hold or the method is stuck; fixed steps; attempts; tau to start from here; is the time over? */
-kpirl_mpc_status kpirl_mpc_converge(kpirl_mpc_core *core);
-kpirl_mpc_status kpirl_mpc_advance(kpirl_mpc_core *core);
-kpirl_mpc_status kpirl_mpc_attempt(kpirl_mpc_core *core, const kpirl_mpc_start *start);
-real kpirl_mpc_start_tau(const kpirl_mpc_core *core);
-int kpirl_mpc_core_late(const kpirl_mpc_core *core);
-void kpirl_mpc_log_iteration(const kpirl_mpc_core *core);
-void kpirl_mpc_start_filter(kpirl_mpc_core *core);
-int kpirl_mpc_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, kpirl_mpc_merit trial);
 
 #endif

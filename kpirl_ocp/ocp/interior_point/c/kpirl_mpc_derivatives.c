@@ -2,7 +2,7 @@
  *
  * What is known at an iterate: derivatives, constraints, residuals.
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 #include <string.h>
 

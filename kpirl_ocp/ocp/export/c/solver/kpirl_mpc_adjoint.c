@@ -8,6 +8,7 @@
  * one solve of the same linear-quadratic problem, with the gradient of L in the place of the right-hand side.
  */
 #include "kpirl_mpc_interface.h"
+#include "kpirl_mpc_method.h"
 
 #include <string.h>
 

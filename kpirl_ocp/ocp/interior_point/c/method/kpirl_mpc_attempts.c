@@ -2,7 +2,7 @@
  *
  * Where the method begins, and where it begins again when it gets stuck.
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 #include <string.h>
 

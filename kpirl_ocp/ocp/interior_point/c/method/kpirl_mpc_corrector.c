@@ -3,7 +3,7 @@
  * Steps of several orders with the factors of one: Mehrotra's predictor and corrector (1992), and the centrality correctors of
  * Gondzio (1996). A right-hand side costs far less than factors and derivatives.
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 static const real CORRECTED = (real)0.5; /* length of the first step from which the second order is believed */
 /* Gondzio's: how many correctors; how much longer a step each aims at; the least that it has to gain; products y z between

@@ -4,7 +4,7 @@
  * a filter accepts (Waechter and Biegler, 2006, sections 2.3 and 3.1); or a fixed number of full Newton steps, the
  * real-time iteration (Diehl et al., 2005).
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 #include <string.h>
 

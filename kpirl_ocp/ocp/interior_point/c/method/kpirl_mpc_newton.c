@@ -11,7 +11,7 @@
  * R is the identity: enough of it makes the reduced Hessian positive. Equalities
  * are those of the proximal method of multipliers: exact where the method converges, and never singular.
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 #include <string.h>
 

@@ -2,7 +2,7 @@
  *
  * Where the method starts: inside the bounds, with slacks and multipliers.
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 #include <string.h>
 

@@ -2,7 +2,7 @@
  *
  * When an iterate is a solution: within the tolerance, or as far as rounding allows.
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 static const real ROUNDING = 500 * KPIRL_MPC_EPSILON; /* of slack * multiplier, relative to `largest_product` */
 static const real HEAVIEST = (real)1e4; /* multipliers, relative to the gradient of J, up to which they are the scale of stationarity */

@@ -2,7 +2,7 @@
  *
  * One iteration: a direction, and how far to go along it.
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 #include <string.h>
 

@@ -13,7 +13,7 @@
  *
  * g and c are divided by the sizes of their gradients first, so that units of constraints change nothing.
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 /* Can an inequality be violated? Bounds of decisions can not. */
 static int can_be_elastic(const kpirl_mpc_core *core, int row) {

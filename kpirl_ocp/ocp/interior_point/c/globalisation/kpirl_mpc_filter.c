@@ -3,7 +3,7 @@
  * A filter: a step must reduce the objective or the violation of the constraints, and never cycle (Waechter and Biegler, On
  * the implementation of an interior-point filter line-search algorithm, 2006, section 2.3).
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
 static const real VIOLATION = (real)1e-5, OBJECTIVE = (real)1e-8, ARMIJO = (real)1e-4; /* sufficient decreases */

@@ -2,16 +2,18 @@
  *
  * Functions of stages as tapes: operations on slots, carried out one after the other for several stages side by side.
  *
- * An interpreter mostly finds out which operation is the next. Here it does so once for KPIRL_MPC_LANES stages, whose numbers
+ * An interpreter mostly finds out which operation is the next. Here it does so once for LANES stages, whose numbers
  * stand beside each other in a slot. Operations round as those of CasADi's virtual machine do, so that results are the same to
  * the last bit.
  */
-#include "kpirl_mpc_library.h"
+#include "kpirl_mpc_tapes.h"
 
 #include <math.h>
 #include <string.h>
 
-enum { LANES = KPIRL_MPC_LANES };
+enum { LANES = 8 };
+
+int kpirl_mpc_lanes(void) { return LANES; }
 
 /* In the order of `KINDS` in tapes.py. */
 enum {

@@ -4,7 +4,7 @@
  * problem with elastic constraints is solved until most of the violation is gone. What is left for the largest penalty is
  * stationary for the violation.
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 #include <string.h>
 

@@ -2,7 +2,7 @@
  *
  * Trial points of a line search, and what is made of the one that is taken.
  */
-#include "kpirl_mpc_core.h"
+#include "kpirl_mpc_method.h"
 
 #include <string.h>
 
@@ -11,13 +11,6 @@ static const real CENTRAL = (real)1e-3;   /* slack * multiplier of h, relative t
 static const real CENTRE = (real)1e10;    /* slack * multiplier stays within this factor of tau */
 static const real STILL = (real)0.5;      /* change of a slack without interior, relative to it, that is rounding */
 static const real NOTHING = (real)1e-3;   /* what a Newton step leaves of a slack, relative to it and to tau / z, where it leaves none */
-
-/* What remains of g + y where a constraint has no interior, because no decision moves it (a bound on which a system at rest begins)
- * or it leaves one point: a slack of the tolerance at g = 0. If it vanished, its multiplier would grow without bound. */
-real kpirl_mpc_room(const kpirl_mpc_core *core, real g, real y) {
-  const real tolerance = (real)core->options.tolerance;
-  return y >= tolerance / 2 && y <= 2 * tolerance && kpirl_mpc_abs(g) <= y / 2 ? g + y : 0;
-}
 
 /* Of a bounded entry of x; that of a value of h is not known. */
 static real rounding(const kpirl_mpc_core *core, int row) {
@@ -32,6 +25,14 @@ static int is_used_up(const kpirl_mpc_core *core, int row) {
   return core->at.y[row] < (real)core->options.tolerance && left <= NOTHING * y && left * z <= NOTHING * core->step.tau;
 }
 
+/* The slack of a row where g is its value: as the linearisation leaves it, of h at least what is left of it; without interior it stays. */
+static real trial_slack(const kpirl_mpc_core *core, int row, real length, real g) {
+  const real before = core->d.g[row], y = core->at.y[row], dy = core->step.change.y[row], room = kpirl_mpc_room(core, before, y);
+  if (room > 0 && kpirl_mpc_abs(dy) <= STILL * y) return y;
+  if (row >= kpirl_mpc_n_bounds(core)) return kpirl_mpc_larger(y + length * dy, -g);
+  return (1 - length) * (before + y - room) + room - g;
+}
+
 /* Lifted: x + length dx, as in multiple shooting, with the defects that the dynamics leave there. Else along the dynamics. */
 void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit) {
   const kpirl_mpc_derivatives *d = &core->d;
@@ -41,7 +42,7 @@ void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_meri
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core), bounds = kpirl_mpc_n_bounds(core);
   const real least = REMAINDER * (1 - core->step.share);
   real *path = core->force + bounds, *equality = trial->nu + core->n_fixed, *g = trial->z;
-  real objective = 0, theta, penalty, room;
+  real objective = 0, theta, penalty;
   int i, outside = 0;
   if (lifted) {
     for (i = 0; i < n_w; ++i) trial->x[i] = at->x[i] + length * change->x[i];
@@ -62,12 +63,7 @@ void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_meri
       trial->y[i] = at->y[i];
       continue;
     }
-    room = kpirl_mpc_room(core, d->g[i], at->y[i]);
-    if (room > 0 && kpirl_mpc_abs(change->y[i]) <= STILL * at->y[i])
-      trial->y[i] = at->y[i];
-    else
-      trial->y[i] = i < bounds ? (1 - length) * (d->g[i] + at->y[i] - room) + room - g[i]
-                               : kpirl_mpc_larger(at->y[i] + length * change->y[i], -g[i]);
+    trial->y[i] = trial_slack(core, i, length, g[i]);
     theta += kpirl_mpc_abs(g[i] + trial->y[i] - kpirl_mpc_room(core, g[i], trial->y[i]));
     outside |= trial->y[i] < least * at->y[i];
   }

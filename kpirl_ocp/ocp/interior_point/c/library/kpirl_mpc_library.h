@@ -35,29 +35,6 @@ typedef struct kpirl_mpc_compiled {
 
 int kpirl_mpc_evaluate_compiled(void *self, const void *arguments, const void *results);
 
-/* One operation on numbered slots; kinds and operands: see kpirl_mpc_tapes.c. */
-typedef struct kpirl_mpc_operation {
-  int kind, to, from, other;
-} kpirl_mpc_operation;
-
-/* A function of a stage as a list of operations, whose results go into dense arrays. */
-typedef struct kpirl_mpc_tape {
-  const kpirl_mpc_operation *operations;
-  const real *constants;
-  int n_operations;
-} kpirl_mpc_tape;
-
-/* Tapes of a stage and of the end, and their memory: slots of KPIRL_MPC_LANES numbers, and a cost for each stage. */
-enum { KPIRL_MPC_LANES = 8 };
-typedef struct kpirl_mpc_tapes {
-  kpirl_mpc_tape stage, last;
-  kpirl_mpc_dimensions dimensions;
-  const real *schedule;
-  real *slots, *costs;
-} kpirl_mpc_tapes;
-
-int kpirl_mpc_evaluate_tapes(void *self, const kpirl_mpc_horizon_arguments *arguments, const kpirl_mpc_horizon_results *results);
-
 /* What a solve found, besides its solution. */
 typedef struct kpirl_mpc_result {
   kpirl_mpc_residuals residuals;

@@ -1,0 +1,43 @@
+/* SPDX-License-Identifier: MIT
+ *
+ * How much weight on the identity makes the reduced Hessian positive (inertia correction; Waechter and Biegler, 2006, section
+ * 3.1): a third of the last one, or as much more as it takes.
+ */
+#include "kpirl_mpc_method.h"
+
+static const real FIRST = (real)1e-4, SMALLEST = (real)1e-12; /* weights, in units of the Hessian where it is small */
+static const real STRONGEST = (real)1e10; /* weight, relative to the scale of the problem, that leads nowhere */
+static const real STRONGEST_OFF = 1; /* the same off the dynamics: gaps closed at any cost make costates as large as the weight, and
+                                      * these a Hessian that needs a larger one */
+static const real FIRST_FACTOR = 100, FACTOR = 8, FALL = 3; /* by which it grows, before one is known and then; and falls */
+
+/* The largest entry of the Hessian, if that is less than 1: in other units of the cost the weights are others. */
+real kpirl_mpc_unit_weight(const kpirl_mpc_core *core) {
+  const real largest = kpirl_mpc_largest_curvature(core);
+  return largest > 0 ? kpirl_mpc_smaller(1, largest) : 1;
+}
+
+/* A weight for steps that are too long with the last one. */
+real kpirl_mpc_stronger(const kpirl_mpc_core *core) {
+  return kpirl_mpc_larger(FIRST_FACTOR * core->step.regularisation, kpirl_mpc_unit_weight(core) * FIRST);
+}
+
+/* The Newton step with this regularisation, or, where the Hessian is known to be `indefinite` with it or turns out to be, with as
+ * much more as it needs; 0 if none is enough. */
+int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation, int indefinite) {
+  const real last = core->regularisation;
+  const real strongest = (kpirl_mpc_off_dynamics(core) ? STRONGEST_OFF : STRONGEST) * core->d.scale;
+  real rho = regularisation;
+  if (!indefinite) kpirl_mpc_newton_step(core, rho);
+  while (indefinite || !core->step.positive) {
+    if (rho > 0)
+      rho *= last > 0 ? FACTOR : FIRST_FACTOR;
+    else
+      rho = last > 0 ? kpirl_mpc_larger(last / FALL, kpirl_mpc_unit_weight(core) * SMALLEST) : kpirl_mpc_unit_weight(core) * FIRST;
+    if (!(rho < strongest)) return 0;
+    kpirl_mpc_newton_step(core, rho);
+    indefinite = 0;
+  }
+  if (rho > 0) core->regularisation = rho;
+  return 1;
+}
