@@ -1,7 +1,13 @@
 """The exceptions of the toolkit: one small tree, every message names the fault and a remedy, such as a near name."""
 
 import difflib
-from collections.abc import Iterable
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+# The extra that brings an optional package.
+EXTRAS = dict.fromkeys(("av", "cv2", "pybullet", "torch"), "perception")
+EXTRAS |= {"jax": "jax", "onnx": "onnx", "rerun": "rerun", "viser": "viewer"}
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
@@ -50,12 +56,6 @@ class ModelError(FileError):
 class DependencyError(KpirlError, ImportError):
     """An optional package is not installed; the message says how to install it."""
 
-    @classmethod
-    def of(cls, name: str, error: ModuleNotFoundError, extra: str) -> "DependencyError":
-        """For a name of the package that cannot be imported without an extra."""
-        package = str(error.name).partition(".")[0]
-        return cls(f'{name} needs {package}, which is not installed: pip install "kpirl-ocp[{extra}]".')
-
 
 class ResourceError(KpirlError, RuntimeError):
     """A command would take more memory than the machine has."""
@@ -86,3 +86,32 @@ class CertificateError(KpirlError, RuntimeError):
 
     def __str__(self) -> str:
         return str(self.args[0])
+
+
+def missing(name: str, error: ModuleNotFoundError, extras: Mapping[str, str] = EXTRAS) -> Exception:
+    """A DependencyError for what cannot be had; the error itself if it is no optional package that is not installed.
+
+    name: of what needs the package. extras: package -> extra.
+    """
+    package = str(error.name).partition(".")[0]
+    if package not in extras:
+        return error
+    remedy = f'pip install "kpirl-ocp[{extras[package]}]"'
+    if package == "pybullet" and sys.version_info >= (3, 12):
+        remedy = "it has no wheels for Python 3.12 and later, make an environment with Python 3.11 or 3.10"
+    return DependencyError(f"{name} needs {package}, which is not installed: {remedy}.")
+
+
+def naming_extras(imported: Callable[[str], Any], extras: Mapping[str, str] = EXTRAS) -> Callable[[str], Any]:
+    """`__getattr__` of a package whose names need optional packages; raises DependencyError where one is missing.
+
+    imported: gives a name of the package, and imports what it needs. extras: optional package -> extra.
+    """
+
+    def named(name: str) -> Any:
+        try:
+            return imported(name)
+        except ModuleNotFoundError as error:
+            raise missing(name, error, extras) from error
+
+    return named

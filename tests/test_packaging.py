@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 import kpirl_ocp
-from kpirl_ocp.cli.main import EXTRAS
+from kpirl_ocp.errors import EXTRAS
 
 ROOT = Path(__file__).parents[1]
 OPTIONAL = (

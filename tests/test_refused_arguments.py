@@ -55,6 +55,10 @@ print(Fatrop().solve(problem, [1.0]).status.name)
         ("bridges", "from_torch", "torch", "torch"),
         ("bridges", "ocp_function", "jax", "jax"),
         ("perception.detector", "KeypointDetector", "torch", "perception"),
+        ("perception.dynamics", "train_dynamics", "torch", "perception"),
+        ("perception.tracking", "follow_object", "cv2", "perception"),
+        ("perception.data", "write_video", "av", "perception"),
+        ("viewing", "show_arm", "viser", "viewer"),
     ],
 )
 def test_a_name_that_needs_an_extra_says_which(room, name, package, extra):

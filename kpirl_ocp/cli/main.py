@@ -21,7 +21,7 @@ from kpirl_ocp.cli.directory import results_in
 from kpirl_ocp.cli.memory import within_memory
 from kpirl_ocp.cli.parser import Parser, build_parser, write_config
 from kpirl_ocp.cli.signals import stoppable
-from kpirl_ocp.errors import DependencyError, KpirlError, OptionError, suggestion
+from kpirl_ocp.errors import DependencyError, KpirlError, OptionError, missing, suggestion
 from kpirl_ocp.version import __version__
 
 COMMANDS = (
@@ -38,7 +38,6 @@ COMMANDS = (
     "train-robust",
     "train-dynamics",
 )
-EXTRAS = dict.fromkeys(("av", "cv2", "pybullet", "torch"), "perception") | {"onnx": "onnx", "rerun": "rerun"}
 USAGE = """usage: kpirl COMMAND [OPTIONS]
 
 Learn a cost over keypoints from demonstrations, and plan with it.
@@ -145,8 +144,8 @@ def _work(parser: Parser, args: Namespace, module: str) -> int:
     try:
         with _hushed(args.quiet), within_memory():
             code = import_module(module).main(args) or 0
-    except ModuleNotFoundError as error:
-        raise _missing(parser.prog, error) from error
+    except ImportError as error:
+        raise _named(parser.prog, error) from error
     except KeyboardInterrupt as stop:
         stopped = str(stop) or "nothing was saved"
     write_config(args.out / "config.yaml", parser, args)  # when the exception no longer keeps workers alive
@@ -155,14 +154,11 @@ def _work(parser: Parser, args: Namespace, module: str) -> int:
     return int(code)
 
 
-def _missing(program: str, error: ModuleNotFoundError) -> Exception:
-    package = (error.name or "").split(".")[0]
-    if package not in EXTRAS:
-        return error
-    remedy = f'pip install "kpirl-ocp[{EXTRAS[package]}]"'
-    if package == "pybullet" and sys.version_info >= (3, 12):
-        remedy = "it has no wheels for Python 3.12 and later, make an environment with Python 3.11 or 3.10"
-    return DependencyError(f"`{program}` needs {package}, which is not installed: {remedy}")
+def _named(program: str, error: ImportError) -> Exception:
+    """An error that names the program, and not the function in it, if an extra is missing."""
+    cause = error.__cause__ or error
+    said = missing(f"`{program}`", cause) if isinstance(cause, ModuleNotFoundError) else error
+    return said if isinstance(said, DependencyError) else error
 
 
 @contextlib.contextmanager

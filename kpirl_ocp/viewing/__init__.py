@@ -5,4 +5,7 @@ Names are imported when they are used, because they need different packages.
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from kpirl_ocp.errors import naming_extras
+
+_imported, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__ = naming_extras(_imported)
