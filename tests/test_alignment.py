@@ -51,7 +51,7 @@ def test_neither_light_nor_what_is_around_the_object_draws_the_pose_along():
     assert correlation > 0.97
 
 
-def test_another_thing_in_the_same_place_has_no_correlation():
+def test_another_thing_in_the_same_place_is_far_from_alike():
     other = shot(START, picture=texture(5, 50, 50))
     assert abs(Template.of(shot(START), THING).align(other, np.eye(3))[1]) < 0.5
 

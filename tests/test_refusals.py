@@ -53,7 +53,7 @@ STATEMENTS = {
         {"state_bounds": (np.ma.masked_less(np.array([-1.0, 1.0]), 0), 3)},
         "state_bounds must be an array of numbers; 1 of them masked",
     ),
-    "bounds of digits": ({"action_bounds": ("-1", "1")}, r"action_bounds must be \(lower, upper\)"),
+    "bounds of digits": ({"action_bounds": ("-1", "1")}, "action_bounds must be an array of numbers, got '-1'"),
     "soft as a row": ({"soft": Soft(S.T, 1.0)}, r"soft.constraint must be a column, got the shape \(1, 2\)"),
     "soft at any price": ({"soft": Soft(S[0], np.inf)}, "soft.linear must not be negative, nor infinity or NaN"),
     "static that is a parameter": (
@@ -71,13 +71,13 @@ STATEMENTS = {
     "path equality as a matrix": ({"path_equality": S @ S.T}, "path_equality must take column vectors"),
     "terminal equality as a row": ({"terminal_equality": S.T}, "terminal_equality must take column vectors"),
     "bounds of a step too many": ({"action_bounds": (-1, np.arange(13.0)[:, None])}, r"action_bounds must be \(lower"),
-    "bounds of words": ({"action_bounds": ("low", 1)}, r"action_bounds must be \(lower, upper\)"),
+    "bounds of words": ({"action_bounds": ("low", 1)}, "action_bounds must be an array of numbers, got 'low'"),
     "a pair of bounds for every entry": (
         {"state_bounds": [(-1, 1), (-1, 1)]},
         r"state_bounds must be \(lower, upper\), each \(2,\) or \(13, 2\), not a pair for every entry",
     ),
     "one bound": ({"state_bounds": 1.0}, r"state_bounds must be \(lower, upper\)"),
-    "ragged bounds": ({"state_bounds": ([[1], [1, 2]], 3)}, r"state_bounds must be \(lower, upper\)"),
+    "ragged bounds": ({"state_bounds": ([[1], [1, 2]], 3)}, "state_bounds must be an array of numbers"),
     "bound of an unknown symbol": ({"action_bounds": (-1, X)}, "action_bounds depends on x: bounds may depend on"),
     "bound of the state": ({"action_bounds": (-1, S[0])}, "action_bounds depends on s: bounds may depend on"),
     "bound of another length": (

@@ -58,7 +58,6 @@ def single_level(
         guess: of these plans.
         least: a number or (n_psi,). A little effort keeps costs away under which much is stationary and little optimal.
 
-
     Raises:
         ProblemError: bounds or inequalities, as complementarity is no equation that Ipopt could solve.
     """

@@ -37,7 +37,7 @@ def write_video(
     except (OSError, av.error.FFmpegError) as error:
         raise FileError(f"{path} cannot be written as {codec}; does the directory exist? ({error})") from error
     finally:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # where there is no such directory, there is no part
             part.unlink(missing_ok=True)
     return path
 

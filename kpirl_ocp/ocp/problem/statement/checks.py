@@ -93,7 +93,7 @@ def bounds_of(name: str, bounds: Bounds, shape: tuple[int, ...]) -> tuple[Array,
     """
     expected = " or ".join(dict.fromkeys(str(shape[i:]) for i in reversed(range(len(shape)))))
     try:
-        given = [_bound(name, bound) for bound in bounds]
+        given = [numbers(name, bound) for bound in bounds]
         lower, upper = (np.array(np.broadcast_to(_one_row(bound, shape), shape)) for bound in given)
     except ProblemError:
         raise
@@ -108,15 +108,6 @@ def bounds_of(name: str, bounds: Bounds, shape: tuple[int, ...]) -> tuple[Array,
             f"{name} must be numbers: no lower bound above its upper bound or at inf, no upper bound at -inf."
         )
     return lower, upper
-
-
-def _bound(name: str, value: ArrayLike) -> Array:
-    """Raises ValueError for words, also for those of a number."""
-    refuse_masked(name, value)
-    array = np.asarray(value)
-    if array.dtype.kind in "SU":
-        raise ValueError(f"{shown(value)} is no number")
-    return np.asarray(array, float)
 
 
 def check_function(name: str, function: object, sizes: tuple[int, ...], length: int | None) -> None:

@@ -18,8 +18,6 @@ static real lagrangian_of(const kpirl_mpc_kkt *k, real objective, const real *de
   return objective + kpirl_mpc_dot(k->point.costates, defects, n_c) + kpirl_mpc_dot(k->point.forces + s->n_bounds, rows, m);
 }
 
-
-
 real kpirl_mpc_conditions(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers,
                           const kpirl_mpc_triple *point, real *values) {
   const kpirl_mpc_system *s = &k->system;

@@ -126,8 +126,6 @@ static void after_step(const kpirl_mpc_kkt *k, kpirl_mpc_triple *to) {
 
 /* ---- polish -------------------------------------------------------------------------------------------------------- */
 
-
-
 /* Are all inequalities that have a barrier still on their side of it? */
 static int inside(const kpirl_mpc_kkt *k) {
   int i;

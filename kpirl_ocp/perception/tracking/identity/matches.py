@@ -22,9 +22,8 @@ SEEN = 0.12  # share of the points in view that must be found
 TOGETHER = 0.8  # share that moves as one from which nothing else is asked: light and mirror images change looks
 SURE = 0.4  # share with which no better match is looked for
 _GROWTH = 1.25  # largest change of scale from a guess
-_WHOLE = (
-    0.9  # correlation from which an object looks as in the first frame: it is turned, hidden or lit otherwise below
-)
+# Correlation from which an object looks as in the first frame: below, it is turned, hidden or lit otherwise.
+_WHOLE = 0.9
 _KNOWN = 0.7  # share that looks as remembered from which a frame is a new reference for later ones
 _APART, _RIVAL = 15.0, 0.7  # another place [pixels] is a rival with this share of the best one's points
 
