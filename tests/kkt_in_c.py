@@ -24,8 +24,9 @@ def defects_along(system, x):
 
 def balance(system, point):
     """(H + C' sigma C) x + A' lambda + C' mu (n_w,), given entries of s_0 included."""
-    forces, triple = np.empty(system.sizes_of_parts[0]), Triple(point)
-    _declared("system_balance", 3)(system.address, triple.address, forces.ctypes.data)
+    n_w, _, n_rows = system.sizes_of_parts
+    forces, values, triple = np.empty(n_w), np.empty(n_rows), Triple(point)
+    _declared("system_balance", 4)(system.address, triple.address, forces.ctypes.data, values.ctypes.data)
     return forces
 
 

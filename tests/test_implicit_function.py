@@ -122,16 +122,16 @@ def test_curvature_and_qualification_equal_their_dense_definitions(name):
 
 
 @pytest.mark.parametrize("name", ["tanh network", "iiwa at a limit", "integrator"])
-def test_the_softest_direction_follows_the_dynamics_and_has_the_lowest_curvature(name):
+def test_the_lowest_mode_follows_the_dynamics_and_has_the_lowest_curvature(name):
     _, _, function, _ = solved(name)
     system = function.system
-    lowest, softest = function.factors.curvature, c.read(system.structure.softest, len(system.point.x))
+    lowest, mode = function.factors.curvature, c.read(system.structure.lowest_mode, len(system.point.x))
     H, Z, rows = dense_parts(system)
-    decisions = softest[system.instance.rows.decisions]
-    np.testing.assert_allclose(Z @ decisions, softest, atol=1e-12 * np.abs(softest).max())
+    decisions = mode[system.instance.rows.decisions]
+    np.testing.assert_allclose(Z @ decisions, mode, atol=1e-12 * np.abs(mode).max())
     np.testing.assert_allclose(np.linalg.norm(system.roots * decisions), 1.0)
-    np.testing.assert_allclose(rows[system.active] @ softest, 0.0, atol=1e-7 * np.abs(softest).max())
-    np.testing.assert_allclose(softest @ H @ softest, lowest, rtol=4e-2)
+    np.testing.assert_allclose(rows[system.active] @ mode, 0.0, atol=1e-7 * np.abs(mode).max())
+    np.testing.assert_allclose(mode @ H @ mode, lowest, rtol=4e-2)
 
 
 @pytest.mark.parametrize("name", ["tanh network", "iiwa at a limit", "integrator"])

@@ -192,7 +192,7 @@ def test_the_scalar_recursion_is_its_closed_form():
     np.testing.assert_allclose(arrays["P"].ravel(), values[::-1], rtol=1e-13)
     gain, scratch = np.zeros(1), np.zeros(1)
     for t, one in enumerate(reversed(gains)):
-        run("gain", 1, 1, *(arrays[name][t] for name in ("W", "Y", "pivots")), scratch, gain)
+        run("gain", 1, 1, factors, t, scratch, gain)
         np.testing.assert_allclose(gain, one, rtol=1e-13)
         expected += [s, one * s]
         s = a * s + b * one * s

@@ -16,19 +16,14 @@ from functools import lru_cache
 import casadi as ca
 
 from kpirl_ocp.ocp.conditions.stage_derivatives import linearise_dynamics
+from kpirl_ocp.ocp.interior_point.library import HORIZON
 from kpirl_ocp.ocp.interior_point.stage_functions import Levels, constraint_functions, last_functions
 from kpirl_ocp.ocp.problem.columns import map_shared
 from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedDynamics
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients, TrajectoryCost, stage_costs
 
-# Names of the pointers in `c/kpirl_mpc_model.h`.
-_INPUTS = ("states", "actions", "psi", "context", "costates", "z", "nu", "z_last", "nu_last")
-_OUTPUTS = (
-    *("cost", "successor", "path", "equality", "path_last", "equality_last"),
-    *("cost_gradient", "cost_gradient_last", "gradient", "gradient_last"),
-    *("F", "G", "E", "H", "G_last", "E_last", "H_last"),
-)
+_INPUTS, _OUTPUTS = HORIZON
 
 
 @dataclass(frozen=True, eq=False)

@@ -164,7 +164,7 @@ KKT = _structure(
     move=Triple,
     barrier=REAL,
     objective=REAL,
-    **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "softest"), POINTER),
+    **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "lowest_mode"), POINTER),
     row_factors=Factors,
     **dict.fromkeys(("origin", "shares", "tangent", "matrices", "work"), POINTER),
     **dict.fromkeys(("lowest", "qualification", "step", "margin", "distance"), REAL),
@@ -181,7 +181,7 @@ Questions = _structure("Questions", numbers=Numbers, solutions=POINTER, slopes=P
 Answers = _structure("Answers", gradients=ByParameters, evidence=POINTER, active=POINTER, finite=POINTER)
 _OF_SYSTEMS = {
     "rows_times": 3,
-    "rows_push": 3,
+    "rows_transposed_times": 3,
     "kkt_init": 4,
     "kkt_set_solution": 2,
     "kkt_linearise": 4,

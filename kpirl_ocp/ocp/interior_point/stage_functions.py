@@ -19,13 +19,14 @@ from itertools import accumulate, chain
 import casadi as ca
 
 from kpirl_ocp.ocp.conditions.scalar import scalar
+from kpirl_ocp.ocp.interior_point.library import STAGE
 from kpirl_ocp.ocp.problem.ocp import OCP
 
 Levels = tuple[ca.Function, ca.Function, ca.Function]
 """A function of values, one of first and one of second derivatives."""
 
-_INPUTS = ("x", "psi", "context", "schedule", "costates", "z", "nu")
-_OUTPUTS = ("cost", "successor", "path", "equality"), ("cost_gradient", "gradient"), ("F", "G", "E", "H")
+_INPUTS, _NAMES = STAGE
+_OUTPUTS = _NAMES[:4], _NAMES[4:6], _NAMES[6:]  # values, first and second derivatives
 _OF_DYNAMICS = ("costates", "successor", "F")  # which the end does not have
 _SHARED = 3_000  # operations to look for common subexpressions among, at most: it takes longer than a solve
 

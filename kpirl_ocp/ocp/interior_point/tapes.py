@@ -31,7 +31,7 @@ KINDS = [
     *(ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATAN),
     *(ca.OP_SINH, ca.OP_COSH, ca.OP_TANH, ca.OP_ASINH, ca.OP_ACOSH, ca.OP_ATANH),
 ]
-_INPUTS = ("x", "actions", "psi", "context", "schedule", "costates", "z", "nu")  # x: entries of the state
+_INPUTS = ("x", "actions", *c.STAGE[0][1:])  # x: entries of the state
 
 
 class Tape(NamedTuple):

@@ -223,7 +223,7 @@ class KKTSystem:
     def transposed_times(self, forces: Array) -> Array:
         """The transposed Jacobian of all rows times forces, (n_w,)."""
         pushed = np.zeros(self.sizes_of_parts[0])
-        self._library.kpirl_mpc_rows_push(self.address, forces.ctypes.data, pushed.ctypes.data)
+        self._library.kpirl_mpc_rows_transposed_times(self.address, forces.ctypes.data, pushed.ctypes.data)
         return pushed
 
     def _of_system(self, name: str, size: int) -> Array:

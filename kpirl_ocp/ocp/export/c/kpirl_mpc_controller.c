@@ -19,7 +19,7 @@ real kpirl_mpc_relative_residual(real stationarity, real feasibility, real compl
   residuals[0] = stationarity / scale;
   residuals[1] = complementarity / scale;
   residuals[2] = feasibility;
-  return kpirl_mpc_largest(residuals, 3);
+  return kpirl_mpc_norm_inf(residuals, 3);
 }
 
 void kpirl_mpc_set_residuals(kpirl_mpc_solution *solution, real stationarity, real feasibility, real complementarity,
@@ -31,7 +31,7 @@ void kpirl_mpc_set_residuals(kpirl_mpc_solution *solution, real stationarity, re
   solution->residual = kpirl_mpc_relative_residual(stationarity, feasibility, complementarity, scale);
 }
 
-int kpirl_mpc_late(const kpirl_mpc *mpc) {
+int kpirl_mpc_out_of_time(const kpirl_mpc *mpc) {
   const kpirl_mpc_settings *settings = &mpc->settings;
   return settings->now && settings->time_limit > 0 && !(settings->now(settings->clock) - mpc->started < settings->time_limit);
 }

@@ -54,7 +54,7 @@ void kpirl_mpc_set_residuals(kpirl_mpc_solution *solution, kpirl_mpc_real statio
                              kpirl_mpc_real complementarity, kpirl_mpc_real scale);
 
 /* Is the time of the settings over? `started` is what the clock said when solve was called. */
-int kpirl_mpc_late(const kpirl_mpc *mpc);
+int kpirl_mpc_out_of_time(const kpirl_mpc *mpc);
 
 /* s_{t+1} = f of x = (s, u) at stage t. */
 void kpirl_mpc_step_model(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, int t, const kpirl_mpc_real *x,

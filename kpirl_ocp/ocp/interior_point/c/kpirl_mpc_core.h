@@ -38,7 +38,7 @@ typedef struct kpirl_mpc_derivatives {
   real *cost_gradient;         /* of J by x */
   real *gradient;              /* of the Lagrangian by x; zero at given entries of s_0 */
   real *start_gradient;        /* of the Lagrangian by s_0, given entries included: the derivative of the optimal value */
-  real *slope;                 /* of the Lagrangian of cost and dynamics alone */
+  real *unconstrained_gradient; /* of the Lagrangian of cost and dynamics alone */
   real *F;                     /* (n_s, n_x) */
   real *G, *E;                 /* transposed: (n_x, n_h) and (n_x, n_e), of s_T (n_s, .) */
   real *H;                     /* (n_x, n_x), of s_T (n_s, n_s); the lower triangle */
@@ -106,7 +106,7 @@ typedef struct kpirl_mpc_core {
   real *row_sizes;      /* of the gradients of inequalities, then equalities (m + n_c), for elastic mode */
   real *target;         /* of y z (m) */
   real *right, *start;  /* right-hand side (n_w), and of s_0 (n_s) */
-  real *K;              /* feedback (n_u, n_s) of a stage */
+  real *K;              /* feedback (n_u, n_s) of a stage, and what it takes to find it */
   real *scratch;
   real *nonzeros;       /* of a function's result */
   real *states, *actions; /* gathered for functions of the whole horizon */
@@ -187,24 +187,29 @@ int kpirl_mpc_core_evaluate_start(kpirl_mpc_core *core, const kpirl_mpc_numbers 
 /* model: evaluate at core->at into core->d. */
 void kpirl_mpc_evaluate(kpirl_mpc_core *core, int level);
 void kpirl_mpc_evaluate_stage_0(kpirl_mpc_core *core, int level);
-/* Roll out actions K-free from s_0 in x: states follow the dynamics. */
+/* The states in x become those that its actions lead to from its s_0. */
 void kpirl_mpc_roll_out(kpirl_mpc_core *core, real *x);
 /* Objective, path, equality and defects at x; `path` and the others are arrays as in kpirl_mpc_derivatives. */
 void kpirl_mpc_evaluate_values(kpirl_mpc_core *core, const real *x, real *objective, real *defects, real *path,
                                real *equality);
-/* The values of a trajectory that follows the dynamics with feedback from core->at, see kpirl_mpc_newton.c. */
-void kpirl_mpc_follow(kpirl_mpc_core *core, real length, real *objective, real *path, real *equality);
+/* The values of a trajectory that follows the dynamics, with the feedback of the last factors, see kpirl_mpc_evaluation.c. */
+void kpirl_mpc_feedback_rollout(kpirl_mpc_core *core, real length, real *objective, real *path, real *equality);
 
 /* constraints */
 void kpirl_mpc_inequalities(const kpirl_mpc_core *core, const real *x, const real *path, real *g);
 void kpirl_mpc_equalities(const kpirl_mpc_core *core, const real *x, const real *equality, real *c);
 void kpirl_mpc_gap(const kpirl_mpc_core *core, const real *x, real *gap);
-/* pushed += the bounds' rows' forces; and those of fixed entries */
-void kpirl_mpc_push_bounds(const kpirl_mpc_core *core, const real *forces, const real *fixing, real *pushed);
-/* values += G x and E x over all stages, pushed += G' forces and E' forces */
-void kpirl_mpc_path_times(const kpirl_mpc_core *core, const real *matrix, int rows, int last_rows, const real *x, real *values);
-void kpirl_mpc_path_push(const kpirl_mpc_core *core, const real *matrix, int rows, int last_rows, const real *forces,
-                         real *pushed);
+/* The entry of x that a row among the bounds is of. */
+int kpirl_mpc_bounded_entry(const kpirl_mpc_core *core, int row);
+/* values (m) = the Jacobian of all inequalities times x */
+void kpirl_mpc_inequalities_times(const kpirl_mpc_core *core, const real *x, real *values);
+/* Of h and h_T, and of e and e_T: values += G x, values += E x, product += G' z, product += E' nu; and of the bounds, to which
+ * the multipliers at the front of z and nu belong. */
+void kpirl_mpc_path_times(const kpirl_mpc_core *core, const real *x, real *values);
+void kpirl_mpc_path_transposed_times(const kpirl_mpc_core *core, const real *z, real *product);
+void kpirl_mpc_equality_times(const kpirl_mpc_core *core, const real *x, real *values);
+void kpirl_mpc_equality_transposed_times(const kpirl_mpc_core *core, const real *nu, real *product);
+void kpirl_mpc_bounds_transposed_times(const kpirl_mpc_core *core, const real *z, const real *nu, real *product);
 
 /* derivatives */
 void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level);

@@ -13,21 +13,21 @@ static real scale_of(const kpirl_mpc_core *core) {
   const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
   real sizes[5];
   sizes[4] = 1;
-  sizes[0] = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
-  sizes[1] = kpirl_mpc_largest(core->at.costates, DIM(core, horizon) * n_s);
-  sizes[2] = kpirl_mpc_largest(core->at.z + kpirl_mpc_n_bounds(core), m - kpirl_mpc_n_bounds(core));
-  sizes[3] = kpirl_mpc_largest(core->at.nu + core->n_fixed, kpirl_mpc_n_equalities(core) - core->n_fixed);
-  return kpirl_mpc_largest(sizes, 5);
+  sizes[0] = kpirl_mpc_norm_inf(core->d.cost_gradient + n_s, n_w - n_s);
+  sizes[1] = kpirl_mpc_norm_inf(core->at.costates, DIM(core, horizon) * n_s);
+  sizes[2] = kpirl_mpc_norm_inf(core->at.z + kpirl_mpc_n_bounds(core), m - kpirl_mpc_n_bounds(core));
+  sizes[3] = kpirl_mpc_norm_inf(core->at.nu + core->n_fixed, kpirl_mpc_n_equalities(core) - core->n_fixed);
+  return kpirl_mpc_norm_inf(sizes, 5);
 }
 
 static real violation_of(const kpirl_mpc_core *core) {
   const kpirl_mpc_derivatives *d = &core->d;
   const int n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
-  real sum = kpirl_mpc_absolute_sum(d->defects, DIM(core, horizon) * n_s) + kpirl_mpc_absolute_sum(d->gap, n_s) +
-             (core->penalty > 0 ? 0 : kpirl_mpc_absolute_sum(d->c, kpirl_mpc_n_equalities(core)));
+  real sum = kpirl_mpc_norm_1(d->defects, DIM(core, horizon) * n_s) + kpirl_mpc_norm_1(d->gap, n_s) +
+             (core->penalty > 0 ? 0 : kpirl_mpc_norm_1(d->c, kpirl_mpc_n_equalities(core)));
   int i;
   for (i = 0; i < m; ++i)
-    if (!kpirl_mpc_is_elastic(core, i)) sum += kpirl_mpc_abs(d->g[i] + core->at.y[i] - kpirl_mpc_room(core, d->g[i], core->at.y[i]));
+    if (!kpirl_mpc_is_elastic(core, i)) sum += kpirl_mpc_abs(kpirl_mpc_slack_residual(core, d->g[i], core->at.y[i]));
   return sum;
 }
 
@@ -45,20 +45,20 @@ static void forget_start(kpirl_mpc_core *core) {
 void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level) {
   const kpirl_mpc_iterate *at = &core->at;
   kpirl_mpc_derivatives *d = &core->d;
-  const int n_h = DIM(core, n_path), n_e = DIM(core, n_equality), n_w = kpirl_mpc_n_point(core);
-  const int m = kpirl_mpc_n_inequalities(core), equalities = kpirl_mpc_n_equalities(core);
+  const int n_w = kpirl_mpc_n_point(core), bounds = kpirl_mpc_n_bounds(core), m = kpirl_mpc_n_inequalities(core);
+  const int n_c = kpirl_mpc_n_equalities(core);
   core->factored = 0;
   kpirl_mpc_evaluate(core, level);
   d->matrices = level == KPIRL_MPC_SECOND;
   if (d->matrices) {
     int i;
-    memcpy(d->slope, d->gradient, (size_t)n_w * sizeof(real));
-    for (i = kpirl_mpc_n_bounds(core); i < m; ++i) core->scratch[i - kpirl_mpc_n_bounds(core)] = -at->z[i];
-    kpirl_mpc_path_push(core, d->G, n_h, DIM(core, n_terminal), core->scratch, d->slope);
-    for (i = core->n_fixed; i < equalities; ++i) core->scratch[i - core->n_fixed] = -at->nu[i];
-    kpirl_mpc_path_push(core, d->E, n_e, DIM(core, n_terminal_equality), core->scratch, d->slope);
+    memcpy(d->unconstrained_gradient, d->gradient, (size_t)n_w * sizeof(real));
+    for (i = bounds; i < m; ++i) core->scratch[i - bounds] = -at->z[i];
+    kpirl_mpc_path_transposed_times(core, core->scratch, d->unconstrained_gradient);
+    for (i = core->n_fixed; i < n_c; ++i) core->scratch[i - core->n_fixed] = -at->nu[i];
+    kpirl_mpc_equality_transposed_times(core, core->scratch, d->unconstrained_gradient);
   }
-  kpirl_mpc_push_bounds(core, at->z, at->nu, d->gradient);
+  kpirl_mpc_bounds_transposed_times(core, at->z, at->nu, d->gradient);
   forget_start(core);
   kpirl_mpc_gap(core, at->x, d->gap);
   kpirl_mpc_inequalities(core, at->x, d->path, d->g);
@@ -73,12 +73,12 @@ static real largest_violation(const kpirl_mpc_core *core, int elastic) {
   const int n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
   real parts[4] = {0, 0, 0, 0};
   int i;
-  parts[0] = kpirl_mpc_largest(d->defects, DIM(core, horizon) * n_s);
-  parts[1] = kpirl_mpc_largest(d->gap, n_s);
-  if (elastic || core->penalty <= 0) parts[2] = kpirl_mpc_largest(d->c, kpirl_mpc_n_equalities(core));
+  parts[0] = kpirl_mpc_norm_inf(d->defects, DIM(core, horizon) * n_s);
+  parts[1] = kpirl_mpc_norm_inf(d->gap, n_s);
+  if (elastic || core->penalty <= 0) parts[2] = kpirl_mpc_norm_inf(d->c, kpirl_mpc_n_equalities(core));
   for (i = 0; i < m; ++i)
     if ((elastic || !kpirl_mpc_is_elastic(core, i)) && !(d->g[i] <= parts[3]) && !isnan(parts[3])) parts[3] = d->g[i];
-  return kpirl_mpc_largest(parts, 4);
+  return kpirl_mpc_norm_inf(parts, 4);
 }
 
 real kpirl_mpc_largest_violation(const kpirl_mpc_core *core) { return largest_violation(core, 1); }
@@ -92,7 +92,7 @@ void kpirl_mpc_find_residuals(const kpirl_mpc_core *core, real tau, kpirl_mpc_re
     const real product = kpirl_mpc_abs(-d->g[i] * core->at.z[i] - tau);
     if (!kpirl_mpc_is_elastic(core, i) && !(product <= complementarity) && !isnan(complementarity)) complementarity = product;
   }
-  residuals->stationarity = kpirl_mpc_largest(d->gradient, kpirl_mpc_n_point(core));
+  residuals->stationarity = kpirl_mpc_norm_inf(d->gradient, kpirl_mpc_n_point(core));
   residuals->feasibility = largest_violation(core, 0);
   residuals->complementarity = complementarity;
   residuals->scale = d->scale;

@@ -48,8 +48,8 @@ static void call_stage(kpirl_mpc_core *core, int level, int t, const kpirl_mpc_s
   }
 }
 
-/* The point x of stage t, or of the end. */
-static void stand_at_stage(const kpirl_mpc_core *core, int t, const real *x, kpirl_mpc_stage_arguments *at) {
+/* The arguments that belong to x at stage t, or at the end. */
+static void set_arguments(const kpirl_mpc_core *core, int t, const real *x, kpirl_mpc_stage_arguments *at) {
   memset(at, 0, sizeof *at);
   at->x = x + t * (DIM(core, n_states) + DIM(core, n_actions));
   at->psi = core->numbers.psi;
@@ -63,7 +63,7 @@ static void stage_values(kpirl_mpc_core *core, int t, const real *x, real *objec
   kpirl_mpc_stage_arguments at;
   kpirl_mpc_stage_results to = {0};
   real cost = 0;
-  stand_at_stage(core, t, x, &at);
+  set_arguments(core, t, x, &at);
   to.cost = &cost;
   to.successor = successor;
   to.path = path + t * DIM(core, n_path);
@@ -79,9 +79,9 @@ static void differentiate_stage(kpirl_mpc_core *core, int level, int t) {
   kpirl_mpc_stage_arguments at;
   kpirl_mpc_stage_results to = {0};
   real cost = 0;
-  stand_at_stage(core, t, core->at.x, &at);
+  set_arguments(core, t, core->at.x, &at);
   at.costates = core->at.costates + t * n_s;
-  at.z = core->at.z + core->n_lower + core->n_upper + t * DIM(core, n_path);
+  at.z = core->at.z + kpirl_mpc_n_bounds(core) + t * DIM(core, n_path);
   at.nu = core->at.nu + core->n_fixed + t * DIM(core, n_equality);
   to.cost = &cost;
   to.successor = last ? NULL : d->defects + t * n_s;
@@ -118,7 +118,7 @@ static void call_horizon(kpirl_mpc_core *core, int level, const real *x, real *c
   at.psi = core->numbers.psi;
   at.context = core->numbers.context;
   at.costates = core->at.costates;
-  at.z = core->at.z + core->n_lower + core->n_upper;
+  at.z = core->at.z + kpirl_mpc_n_bounds(core);
   at.nu = core->at.nu + core->n_fixed;
   at.z_last = at.z + T * n_h;
   at.nu_last = at.nu + T * n_e;
@@ -162,7 +162,7 @@ void kpirl_mpc_evaluate_values(kpirl_mpc_core *core, const real *x, real *object
   subtract_states(core, x, defects);
 }
 
-/* r is the gradient of what is local to a stage; s_t is also where stage t-1 arrives. */
+/* Stages give the gradients of their own terms; of costates . (f - s_next), s_t is the successor of stage t-1, too. */
 static void subtract_costates(const kpirl_mpc_core *core, real *gradient) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
   int t, i;
@@ -203,7 +203,7 @@ static void step_dynamics(kpirl_mpc_core *core, int t, const real *x, real *succ
   const kpirl_mpc_stage_function *function = model->by_stage ? &model->stage[KPIRL_MPC_VALUES] : &model->dynamics;
   kpirl_mpc_stage_arguments at;
   kpirl_mpc_stage_results to = {0};
-  stand_at_stage(core, t, x, &at);
+  set_arguments(core, t, x, &at);
   to.successor = successor;
   if (function->evaluate(function->self, &at, &to)) core->failed = 1;
 }
@@ -216,9 +216,8 @@ void kpirl_mpc_roll_out(kpirl_mpc_core *core, real *x) {
 
 /* u' = u + a du + K (s' - s - a ds),  s'_next = f(s', u') - (1 - a) d  from core->at along core->step, into core->trial:
  * defects shrink by exactly 1 - a, and once they are zero every iterate is a rollout. */
-void kpirl_mpc_follow(kpirl_mpc_core *core, real length, real *objective, real *path, real *equality) {
+void kpirl_mpc_feedback_rollout(kpirl_mpc_core *core, real length, real *objective, real *path, real *equality) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_x = n_s + n_u;
-  const kpirl_mpc_factors *factors = &core->factors;
   const real *x = core->at.x, *dx = core->step.change.x;
   real *to = core->trial.x, *off = core->start;
   int t, i;
@@ -230,8 +229,7 @@ void kpirl_mpc_follow(kpirl_mpc_core *core, real length, real *objective, real *
     for (i = 0; i < n_s; ++i) off[i] = here[i] - x[offset + i] - length * dx[offset + i];
     for (i = n_s; i < n_x; ++i) here[i] = x[offset + i] + length * dx[offset + i];
     if (n_u > 0 && t > 0) {
-      kpirl_mpc_gain(n_s, n_u, factors->W + t * n_u * n_u, factors->Y + t * n_u * n_s, factors->pivots + t * n_u,
-                     core->K + n_u * n_s, core->K);
+      kpirl_mpc_gain(n_s, n_u, &core->factors, t, core->K + n_u * n_s, core->K);
       kpirl_mpc_times_vector(core->K, n_u, n_s, off, here + n_s);
     }
     if (core->model.by_stage)

@@ -54,7 +54,7 @@ static void take_derivatives(cursor *at, const kpirl_mpc_core *core, kpirl_mpc_d
   d->cost_gradient = take_reals(at, kpirl_mpc_n_point(core));
   d->gradient = take_reals(at, kpirl_mpc_n_point(core));
   d->start_gradient = take_reals(at, n_s);
-  d->slope = take_reals(at, kpirl_mpc_n_point(core));
+  d->unconstrained_gradient = take_reals(at, kpirl_mpc_n_point(core));
   d->F = take_reals(at, T * n_s * n_x);
   d->G = take_reals(at, T * n_x * DIM(core, n_path) + n_s * DIM(core, n_terminal));
   d->E = take_reals(at, T * n_x * DIM(core, n_equality) + n_s * DIM(core, n_terminal_equality));
@@ -100,7 +100,7 @@ static void lay_out(cursor *at, kpirl_mpc_core *core) {
   core->row_sizes = take_reals(at, m + kpirl_mpc_n_equalities(core));
   core->right = take_reals(at, kpirl_mpc_n_point(core));
   core->start = take_reals(at, n_s);
-  core->K = take_reals(at, 2 * n_u * n_s);
+  core->K = take_reals(at, n_u * (n_s + 1));
   core->scratch = take_reals(at, most(most(kpirl_mpc_stage_scratch(n_s, n_u), kpirl_mpc_substitute_scratch(T, n_s, n_u)),
                                       most(core->bounds.n_free * core->bounds.n_free, m + kpirl_mpc_n_equalities(core))));
   core->nonzeros = take_reals(at, most_nonzeros(&core->model));

@@ -9,7 +9,7 @@
 void kpirl_mpc_core_view(const kpirl_mpc_core *core, kpirl_mpc_view *view) {
   view->x = core->at.x;
   view->costates = core->at.costates;
-  view->path_multipliers = core->at.z + core->n_lower + core->n_upper;
+  view->path_multipliers = core->at.z + kpirl_mpc_n_bounds(core);
   view->equality_multipliers = core->at.nu + core->n_fixed;
   view->defects = core->d.defects;
   view->path = core->d.path;
@@ -26,13 +26,12 @@ void kpirl_mpc_core_view(const kpirl_mpc_core *core, kpirl_mpc_view *view) {
 }
 
 void kpirl_mpc_core_gradient(const kpirl_mpc_core *core, real *r) {
-  const kpirl_mpc_derivatives *d = &core->d;
-  memcpy(r, d->slope, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
-  kpirl_mpc_path_push(core, d->G, DIM(core, n_path), DIM(core, n_terminal), core->at.z + core->n_lower + core->n_upper, r);
-  kpirl_mpc_path_push(core, d->E, DIM(core, n_equality), DIM(core, n_terminal_equality), core->at.nu + core->n_fixed, r);
+  memcpy(r, core->d.unconstrained_gradient, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
+  kpirl_mpc_path_transposed_times(core, core->at.z + kpirl_mpc_n_bounds(core), r);
+  kpirl_mpc_equality_transposed_times(core, core->at.nu + core->n_fixed, r);
 }
 
-static void stand_at(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point) {
+static void set_point(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point) {
   const int bounds = kpirl_mpc_n_bounds(core), fixed = core->n_fixed;
   kpirl_mpc_set_numbers(core, numbers);
   memcpy(core->at.x, point->x, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
@@ -42,14 +41,14 @@ static void stand_at(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, con
 }
 
 int kpirl_mpc_core_evaluate_at(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point, int level) {
-  stand_at(core, numbers, point);
+  set_point(core, numbers, point);
   core->d.matrices = level == KPIRL_MPC_SECOND;
   kpirl_mpc_evaluate(core, level);
   return core->failed;
 }
 
 int kpirl_mpc_core_evaluate_start(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point, int level) {
-  stand_at(core, numbers, point);
+  set_point(core, numbers, point);
   core->d.matrices = 0;
   kpirl_mpc_evaluate_stage_0(core, level);
   return core->failed;

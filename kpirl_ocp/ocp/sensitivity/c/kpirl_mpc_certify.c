@@ -5,7 +5,7 @@
  * A solution is only known to some tolerance, so the active set was guessed, and second derivatives were taken beside the true
  * solution. One Newton step on the KKT conditions leads (quadratically) closer to it: the step itself must be small, and every
  * multiplier of an active row and slack of an inactive one positive after it; and the adjoint, solved again after it, must be
- * the same. The step is lengthened by 1e-9 along the softest direction, because no solution is known better than
+ * the same. The step is lengthened by 1e-9 along the lowest mode of the reduced Hessian, because no solution is known better than
  * that: at a fold or a flat minimum the adjoint then explodes.
  */
 #include "kpirl_mpc_kkt.h"
@@ -125,7 +125,7 @@ static real slope_left(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl
 static real plan_left(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *tangent, const real *here, const real *there,
                       kpirl_mpc_triple *residual) {
   const kpirl_mpc_system *s = &k->system;
-  const real move = kpirl_mpc_larger(kpirl_mpc_point_norm(s, tangent->x), STILL * kpirl_mpc_point_norm(s, s->sizes));
+  const real move = kpirl_mpc_max(kpirl_mpc_point_norm(s, tangent->x), STILL * kpirl_mpc_point_norm(s, s->sizes));
   tangent_right(s, here, there, residual);
   return 2 * kpirl_mpc_system_reach(s, residual) / move;
 }

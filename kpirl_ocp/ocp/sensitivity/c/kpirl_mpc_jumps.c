@@ -12,7 +12,7 @@ static const real SMALL = (real)1e-3;      /* share of the largest parameter tha
 
 /* The largest absolute value of one of `count` functions at so many steps, or `least` where that is larger. */
 static real largest_at(const real *values, int count, int steps, real least) {
-  for (; steps > 0; --steps, values += count) least = kpirl_mpc_larger(kpirl_mpc_abs(*values), least);
+  for (; steps > 0; --steps, values += count) least = kpirl_mpc_max(kpirl_mpc_abs(*values), least);
   return least;
 }
 
@@ -53,10 +53,10 @@ int kpirl_mpc_weigh(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *function, 
 
 /* A random direction, in units of the numbers. */
 static void find_moves(const kpirl_mpc_kkt *k, const real *numbers, int count, real *moves) {
-  const real size = kpirl_mpc_largest(numbers, count);
+  const real size = kpirl_mpc_norm_inf(numbers, count);
   int i;
   for (i = 0; i < count; ++i) {
-    const real own = size > 0 ? kpirl_mpc_larger(kpirl_mpc_abs(numbers[i]), SMALL * size) : 1;
+    const real own = size > 0 ? kpirl_mpc_max(kpirl_mpc_abs(numbers[i]), SMALL * size) : 1;
     moves[i] = own * k->rows->uniform[i];
   }
 }
@@ -255,7 +255,7 @@ real kpirl_mpc_kink_of_loss(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows
   sides[1] = kpirl_mpc_abs((values[0] - values[2]) / KPIRL_MPC_DIFFERENCE - expected);
   whole = kpirl_mpc_worse(kpirl_mpc_worse(kpirl_mpc_absolute_dot(slopes, move, n_w), bend),
                           ROUNDING * kpirl_mpc_abs(values[0]) / KPIRL_MPC_DIFFERENCE);
-  off = kpirl_mpc_larger(kpirl_mpc_worse(sides[0], sides[1]) - bend, 0);
+  off = kpirl_mpc_max(kpirl_mpc_worse(sides[0], sides[1]) - bend, 0);
   for (j = 0; j < 5; ++j)
     for (i = 0; i < n_w; ++i) moved[j * n_w + i] *= kpirl_mpc_abs(move[i]);
   return failed ? (real)INFINITY : kpirl_mpc_worse(whole > 0 ? off / whole : off, jump_of(moved, n_w, whole));

@@ -103,9 +103,9 @@ static real disagreement(const real *left, const real *here, const real *right, 
     off_left += (before - known) * (before - known);
   }
   if (relative)
-    whole = kpirl_mpc_root(
+    whole = kpirl_mpc_sqrt(
         kpirl_mpc_worse(kpirl_mpc_worse(kpirl_mpc_worse(to_right, to_left), expected), whole * whole));
-  return kpirl_mpc_over(kpirl_mpc_root(kpirl_mpc_worse(off_right, off_left)), whole);
+  return kpirl_mpc_over(kpirl_mpc_sqrt(kpirl_mpc_worse(off_right, off_left)), whole);
 }
 
 /* A jump of the Lagrangian L, whose gradients to the left, here and to the right do not see it: what is left of its changes
@@ -123,7 +123,7 @@ static real value_jump(const kpirl_mpc_kkt *k, const real *L, const real *left, 
   for (i = 0; i < s->horizon * n_s; ++i)
     terms += kpirl_mpc_abs(k->point.costates[i] * s->sizes[(i / n_s + 1) * n_x + i % n_s]);
   off = kpirl_mpc_worse(kpirl_mpc_abs(L[2] - L[1] - slope), kpirl_mpc_abs(L[1] - L[0] - slope)) - bend;
-  return kpirl_mpc_over(kpirl_mpc_larger(off, 0),
+  return kpirl_mpc_over(kpirl_mpc_max(off, 0),
                         kpirl_mpc_worse(kpirl_mpc_worse(bend, kpirl_mpc_abs(slope)), KPIRL_MPC_FLOOR * terms));
 }
 
@@ -167,8 +167,8 @@ static void find_derivatives(const kpirl_mpc_system *s, search *at) {
   memcpy(at->rows, at->move.forces, (size_t)m * sizeof(real));
   memset(at->rows, 0, (size_t)s->n_bounds * sizeof(real)); /* forces of bounds are not in the conditions */
   memset(at->pushed, 0, (size_t)n_w * sizeof(real));
-  kpirl_mpc_costates_push(s, at->move.costates, at->pushed);
-  kpirl_mpc_rows_push(s, at->rows, at->pushed);
+  kpirl_mpc_defects_transposed_times(s, at->move.costates, at->pushed);
+  kpirl_mpc_rows_transposed_times(s, at->rows, at->pushed);
 }
 
 /* What the multipliers change by themselves is taken away. */
@@ -196,7 +196,7 @@ static real kink(const kpirl_mpc_kkt *k, const search *at) {
     const real share = KPIRL_MPC_FLOOR * k->curvature[i] * move[i] * s->sizes[i];
     own += share * share;
   }
-  worst = disagreement(left, here, right, slope, units, n_w, kpirl_mpc_root(own), 1);
+  worst = disagreement(left, here, right, slope, units, n_w, kpirl_mpc_sqrt(own), 1);
   worst = kpirl_mpc_worse(worst, value_jump(k, at->lagrangian, left, here, right, move));
   worst = kpirl_mpc_worse(worst, disagreement(left + n_w, here + n_w, right + n_w, slope + n_w, units + n_w, n_c, whole, 0));
   i = n_w + n_c;
@@ -206,8 +206,8 @@ static real kink(const kpirl_mpc_kkt *k, const search *at) {
 /* Of the difference: where a Newton step still moves the solution, long enough to reach a kink within its error, at which other
  * entries of x than the longest of the move may be. */
 static real over_length(real error) {
-  const real wide = kpirl_mpc_larger(10 * error, kpirl_mpc_smaller(100 * error, WIDE));
-  return kpirl_mpc_larger(KPIRL_MPC_DIFFERENCE, wide);
+  const real wide = kpirl_mpc_max(10 * error, kpirl_mpc_min(100 * error, WIDE));
+  return kpirl_mpc_max(KPIRL_MPC_DIFFERENCE, wide);
 }
 
 /* By the conditions `here`, whose Lagrangian is known. */
@@ -219,7 +219,7 @@ static real kink_from(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *
   for (j = length > KPIRL_MPC_DIFFERENCE; j < 2 && !(error <= KPIRL_MPC_NO_KINK); ++j, length *= KPIRL_MPC_CLOSER) {
     set_move(s, length / size, direction, kpirl_mpc_system_n_point(s), at);
     find_sides(k, core, &k->point, at);
-    error = kpirl_mpc_smaller(error, kink(k, at));
+    error = kpirl_mpc_min(error, kink(k, at));
   }
   return error;
 }

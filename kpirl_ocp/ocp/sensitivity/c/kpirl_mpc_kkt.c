@@ -90,7 +90,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
   k->curvature = take(&from, n_w);
   k->row_sizes = take(&from, m);
   k->shares = take(&from, m);
-  k->softest = take(&from, n_w);
+  k->lowest_mode = take(&from, n_w);
   k->origin = take(&from, n_w);
   k->tangent = take(&from, n_w);
   k->matrices = take(&from, n_matrices(s));

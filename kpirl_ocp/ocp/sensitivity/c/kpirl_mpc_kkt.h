@@ -65,7 +65,7 @@ typedef struct kpirl_mpc_kkt {
   real *pushing;            /* (m) multipliers of active rows; tau / slack of smoothed ones; zero */
   real *curvature;          /* (n_w) kpirl_mpc_system_curvature */
   real *row_sizes;          /* (m) */
-  real *softest;            /* (n_w) direction of the smallest eigenvalue of the reduced Hessian */
+  real *lowest_mode;            /* (n_w) direction of the smallest eigenvalue of the reduced Hessian */
   kpirl_mpc_factors row_factors; /* of the products of the active rows, for `qualification` */
   real *origin;               /* (n_w) x before it was polished */
   real *shares;               /* (m) kpirl_mpc_force_shares */
@@ -129,7 +129,7 @@ int kpirl_mpc_kkt_select_again(kpirl_mpc_kkt *kkt);
 /* Sizes, stiffness and active rows as elsewhere: enough for kpirl_mpc_kkt_change. */
 void kpirl_mpc_kkt_select_nearby(kpirl_mpc_kkt *kkt, const real *active);
 
-/* Factors; and lowest, softest and qualification; unless they are known. */
+/* Factors; and lowest, lowest_mode and qualification; unless they are known. */
 void kpirl_mpc_kkt_factor(kpirl_mpc_kkt *kkt);
 void kpirl_mpc_kkt_condition(kpirl_mpc_kkt *kkt);
 
@@ -146,7 +146,7 @@ void kpirl_mpc_kkt_step(kpirl_mpc_kkt *kkt);
  * point has moved, measured as the step. */
 void kpirl_mpc_kkt_polish(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core);
 
-/* Where the step leads, and a little further along the softest direction, into nearby->point; and the smallest multiplier of an
+/* Where the step leads, and a little further along the lowest mode, into nearby->point; and the smallest multiplier of an
  * active and slack of an inactive inequality after it, relative, into kkt->margin. */
 void kpirl_mpc_kkt_reach(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby);
 

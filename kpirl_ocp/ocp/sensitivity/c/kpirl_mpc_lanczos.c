@@ -20,8 +20,8 @@ static void rotate(int n, real A[MOST][MOST], real V[MOST][MOST], int p, int q) 
   int k;
   if (A[p][q] == 0) return;
   ratio = (A[q][q] - A[p][p]) / (2 * A[p][q]);
-  t = (ratio < 0 ? -1 : 1) / (kpirl_mpc_abs(ratio) + kpirl_mpc_root(1 + ratio * ratio));
-  c = 1 / kpirl_mpc_root(1 + t * t);
+  t = (ratio < 0 ? -1 : 1) / (kpirl_mpc_abs(ratio) + kpirl_mpc_sqrt(1 + ratio * ratio));
+  c = 1 / kpirl_mpc_sqrt(1 + t * t);
   s = t * c;
   for (k = 0; k < n; ++k) {
     const real a = A[k][p], b = A[k][q];
@@ -71,7 +71,7 @@ static int known(real value, real error, int which) {
 
 real kpirl_mpc_lanczos(kpirl_mpc_operator *product, const void *self, int n, int products, int which, real *vector,
                        real *basis, real *error) {
-  real A[MOST][MOST] = {{0}}, coordinates[MOST], largest = 0, value = 0, length = kpirl_mpc_length(vector, n);
+  real A[MOST][MOST] = {{0}}, coordinates[MOST], largest = 0, value = 0, length = kpirl_mpc_norm_2(vector, n);
   real *next = basis + (size_t)MOST * n;
   const int count = products < n ? products : n;
   int i, j, k;
@@ -82,11 +82,11 @@ real kpirl_mpc_lanczos(kpirl_mpc_operator *product, const void *self, int n, int
     int done;
     product(self, v, next);
     A[k][k] = kpirl_mpc_dot(v, next, n);
-    largest = kpirl_mpc_larger(largest, kpirl_mpc_abs(A[k][k]));
+    largest = kpirl_mpc_max(largest, kpirl_mpc_abs(A[k][k]));
     for (i = 0; i < 2; ++i) /* twice, so that no eigenvalue appears as a ghost */
       for (j = 0; j <= k; ++j)
         kpirl_mpc_axpy(-kpirl_mpc_dot(basis + (size_t)j * n, next, n), basis + (size_t)j * n, n, next);
-    after = kpirl_mpc_length(next, n);
+    after = kpirl_mpc_norm_2(next, n);
     done = k + 1 == count || !(after > (real)1e-12 * largest); /* an invariant subspace ends the process */
     if (done || k + 1 >= FEW) value = ritz(k + 1, A, after, which, coordinates, error);
     if (done || (k + 1 >= FEW && known(value, *error, which))) break;

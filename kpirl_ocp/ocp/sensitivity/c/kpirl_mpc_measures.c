@@ -12,7 +12,7 @@ static const real LEAST = (real)1e-12;      /* share of the largest curvature, i
 
 real kpirl_mpc_over(real value, real size) { return value / (size > 0 ? size : 1); }
 
-real kpirl_mpc_worse(real a, real b) { return isnan(a) || isnan(b) ? (real)INFINITY : kpirl_mpc_larger(a, b); }
+real kpirl_mpc_worse(real a, real b) { return isnan(a) || isnan(b) ? (real)INFINITY : kpirl_mpc_max(a, b); }
 
 /* The absolute values of the first `count` of the `rows` of each column. */
 static void absolute_rows(const real *restrict from, int rows, int columns, int count, real *restrict to) {
@@ -113,8 +113,8 @@ void kpirl_mpc_force_shares(const kpirl_mpc_system *s, const real *costates, con
       balanced[t * n_x + i] += kpirl_mpc_absolute_dot(s->F + (size_t)t * n_s * n_x + i * n_s, costates + t * n_s, n_s);
   for (t = 0; t < T; ++t)
     for (i = 0; i < n_s; ++i) balanced[(t + 1) * n_x + i] += kpirl_mpc_abs(costates[t * n_s + i]);
-  for (i = 0; i < n_w; ++i) most = kpirl_mpc_larger(most, balanced[i] * s->sizes[i]);
-  for (i = 0; i < n_w; ++i) balanced[i] = 1 / kpirl_mpc_larger(balanced[i], LEAST_FORCE * most / s->sizes[i]);
+  for (i = 0; i < n_w; ++i) most = kpirl_mpc_max(most, balanced[i] * s->sizes[i]);
+  for (i = 0; i < n_w; ++i) balanced[i] = 1 / kpirl_mpc_max(balanced[i], LEAST_FORCE * most / s->sizes[i]);
   measure(s, balanced, 1, shares);
 }
 
@@ -127,7 +127,7 @@ static void largest_of_kind(int T, int n_s, int n_u, real *values) {
   for (i = 0; i < n_x; ++i) {
     const int count = i < n_s ? T + 1 : T;
     real most = 0;
-    for (t = 0; t < count; ++t) most = kpirl_mpc_larger(values[t * n_x + i], most);
+    for (t = 0; t < count; ++t) most = kpirl_mpc_max(values[t * n_x + i], most);
     for (t = 0; t < count; ++t) values[t * n_x + i] = most;
   }
 }
@@ -135,7 +135,7 @@ static void largest_of_kind(int T, int n_s, int n_u, real *values) {
 void kpirl_mpc_point_sizes(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows *rows, const real *x, real *sizes) {
   const int n_w = of->horizon * (of->n_states + of->n_actions) + of->n_states;
   int i;
-  for (i = 0; i < n_w; ++i) sizes[i] = kpirl_mpc_larger(kpirl_mpc_abs(x[i]), rows->largest_bound[i]);
+  for (i = 0; i < n_w; ++i) sizes[i] = kpirl_mpc_max(kpirl_mpc_abs(x[i]), rows->largest_bound[i]);
   largest_of_kind(of->horizon, of->n_states, of->n_actions, sizes);
   for (i = 0; i < n_w; ++i)
     if (!(sizes[i] > NOTHING)) sizes[i] = 1;
@@ -147,11 +147,11 @@ void kpirl_mpc_find_roots(kpirl_mpc_kkt *k) {
   real *energy = s->scratch, most = 0; /* in the unit of the cost */
   int i;
   for (i = 0; i < n_w; ++i) energy[i] = k->curvature[i] * s->sizes[i] * s->sizes[i];
-  for (i = 0; i < n_w; ++i) most = kpirl_mpc_larger(energy[i], most);
+  for (i = 0; i < n_w; ++i) most = kpirl_mpc_max(energy[i], most);
   largest_of_kind(s->horizon, s->n_states, s->n_actions, energy);
   for (i = 0; i < s->n_decisions; ++i) {
     const real own = energy[s->decisions[i]], used = own > LEAST * most ? own : most > 0 ? most : 1;
-    s->roots[i] = kpirl_mpc_root(used) / s->sizes[s->decisions[i]];
+    s->roots[i] = kpirl_mpc_sqrt(used) / s->sizes[s->decisions[i]];
   }
 }
 
@@ -205,7 +205,7 @@ void kpirl_mpc_moved_by_decisions(const kpirl_mpc_system *s, int row, real *work
   } else {
     memset(forces, 0, (size_t)kpirl_mpc_system_n_rows(s) * sizeof(real));
     forces[row] = 1;
-    kpirl_mpc_rows_push(s, forces, m);
+    kpirl_mpc_rows_transposed_times(s, forces, m);
   }
   while (t-- > 0)
     kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, m + (t + 1) * n_x, m + t * n_x);
@@ -249,7 +249,7 @@ static void row_variances(kpirl_mpc_system *s, real *values) {
 /* The length of one row, which is no bound of a decision, and how decisions move it. */
 static real length_of(const kpirl_mpc_system *s, int row, real *moved) {
   kpirl_mpc_moved_by_decisions(s, row, s->scratch + kpirl_mpc_system_inner_scratch(s), moved);
-  return kpirl_mpc_length(moved, s->n_decisions);
+  return kpirl_mpc_norm_2(moved, s->n_decisions);
 }
 
 /* Row by row, of which those that are no bounds of decisions take n_s n_x products a stage, or by one covariance, which takes
@@ -265,7 +265,7 @@ int kpirl_mpc_find_lengths(kpirl_mpc_system *s) {
     if (decision >= 0) {
       length = 1 / s->roots[decision];
     } else if (s->active[i] != 0 && many) {
-      length = kpirl_mpc_root(s->lengths[i]);
+      length = kpirl_mpc_sqrt(s->lengths[i]);
     } else if (s->active[i] != 0) {
       length = length_of(s, i, moved);
       moved += s->n_decisions;

@@ -35,7 +35,7 @@ static void only_equations(const kpirl_mpc_system *s, const real *missing, const
 static void residual_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, const kpirl_mpc_triple *point,
                         kpirl_mpc_triple *residual) {
   int i;
-  kpirl_mpc_balance_and_rows(s, point, residual->x, residual->forces);
+  kpirl_mpc_system_balance(s, point, residual->x, residual->forces);
   for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) residual->x[i] = right->x[i] - residual->x[i];
   for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) residual->forces[i] = right->forces[i] - residual->forces[i];
   kpirl_mpc_defects_times(s, point->x, residual->costates);
@@ -50,7 +50,7 @@ static void substitute(const kpirl_mpc_system *s, const kpirl_mpc_triple *residu
   int i;
   for (i = 0; i < m; ++i) pushes[i] = s->stiffness[i] * residual->forces[i];
   memcpy(q, residual->x, (size_t)n_w * sizeof(real));
-  kpirl_mpc_rows_push(s, pushes, q);
+  kpirl_mpc_rows_transposed_times(s, pushes, q);
   for (i = 0; i < n_w; ++i) q[i] = -q[i];
   for (i = 0; i < n_c; ++i) d[i] = -d[i];
   kpirl_mpc_system_substitute(s, q, d, residual->start, dx, dcostates);
@@ -77,14 +77,14 @@ static real gradient_norm(const kpirl_mpc_system *s, const real *values) {
   real *v = s->scratch;
   int i;
   for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) v[i] = values[i] * s->sizes[i];
-  return kpirl_mpc_length(v, kpirl_mpc_system_n_point(s));
+  return kpirl_mpc_norm_2(v, kpirl_mpc_system_n_point(s));
 }
 
 real kpirl_mpc_point_norm(const kpirl_mpc_system *s, const real *x) {
   real *v = s->scratch;
   int i;
   for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) v[i] = x[i] / s->sizes[i];
-  return kpirl_mpc_length(v, kpirl_mpc_system_n_point(s));
+  return kpirl_mpc_norm_2(v, kpirl_mpc_system_n_point(s));
 }
 
 /* |values / sizes|, or |values * sizes|, of numbers that belong to s_1 .. s_T */
@@ -96,14 +96,14 @@ static real successor_norm(const kpirl_mpc_system *s, const real *values, int di
     const real *sizes = s->sizes + (t + 1) * n_x, *own = values + t * n_s;
     for (i = 0; i < n_s; ++i) v[t * n_s + i] = divided ? own[i] / sizes[i] : own[i] * sizes[i];
   }
-  return kpirl_mpc_length(v, s->horizon * n_s);
+  return kpirl_mpc_norm_2(v, s->horizon * n_s);
 }
 
 static real row_norm(const kpirl_mpc_system *s, const real *values) {
   real *v = s->scratch;
   int i;
   for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) v[i] = s->active[i] * values[i] / s->lengths[i];
-  return kpirl_mpc_length(v, kpirl_mpc_system_n_rows(s));
+  return kpirl_mpc_norm_2(v, kpirl_mpc_system_n_rows(s));
 }
 
 /* The least that an x without rows can be: |reduced r| over the largest |eigenvalue| of the reduced Hessian. */
@@ -118,7 +118,7 @@ static real least_norm(const kpirl_mpc_system *s, const real *r) {
     const real v = m[s->decisions[i]] / s->roots[i];
     sum += v * v;
   }
-  return kpirl_mpc_root(sum) / (s->scale > 0 ? s->scale : 1);
+  return kpirl_mpc_sqrt(sum) / (s->scale > 0 ? s->scale : 1);
 }
 
 /* The largest of the three residuals, relative; NaN if one is. */
@@ -126,14 +126,14 @@ static real error_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, c
                      const kpirl_mpc_triple *residual, real least) {
   const real gaps = successor_norm(s, right->costates, 1), values = row_norm(s, right->forces);
   real gradient = gradient_norm(s, right->x), decisions = kpirl_mpc_decision_norm(s, point->x), x, parts[3];
-  if (gaps > 0 || values > 0) gradient = kpirl_mpc_larger(gradient, successor_norm(s, point->costates, 0));
-  decisions = kpirl_mpc_larger(kpirl_mpc_larger(decisions, least), values);
-  x = kpirl_mpc_larger(kpirl_mpc_larger(kpirl_mpc_point_norm(s, point->x), gaps),
+  if (gaps > 0 || values > 0) gradient = kpirl_mpc_max(gradient, successor_norm(s, point->costates, 0));
+  decisions = kpirl_mpc_max(kpirl_mpc_max(decisions, least), values);
+  x = kpirl_mpc_max(kpirl_mpc_max(kpirl_mpc_point_norm(s, point->x), gaps),
                        kpirl_mpc_over(least, kpirl_mpc_decision_norm(s, s->sizes)));
   parts[0] = kpirl_mpc_over(gradient_norm(s, residual->x), gradient);
   parts[1] = kpirl_mpc_over(successor_norm(s, residual->costates, 1), x);
   parts[2] = kpirl_mpc_over(row_norm(s, residual->forces), decisions);
-  return kpirl_mpc_largest(parts, 3);
+  return kpirl_mpc_norm_inf(parts, 3);
 }
 
 /* The point that is zero but for decisions at a bound, whose stiffness times their value would round all other terms; returns whether
@@ -186,7 +186,7 @@ real kpirl_mpc_system_change(const kpirl_mpc_system *s, const kpirl_mpc_system *
                              kpirl_mpc_triple *point) {
   const int n_w = kpirl_mpc_system_n_point(s);
   const real least = least_norm(s, right->x);
-  const real whole = kpirl_mpc_larger(kpirl_mpc_decision_norm(s, point->x), NOTHING * least);
+  const real whole = kpirl_mpc_max(kpirl_mpc_decision_norm(s, point->x), NOTHING * least);
   kpirl_mpc_triple residual;
   real *work = s->scratch + kpirl_mpc_system_inner_scratch(s), *before, last = 0, change = 0;
   int i, k;
@@ -197,7 +197,7 @@ real kpirl_mpc_system_change(const kpirl_mpc_system *s, const kpirl_mpc_system *
     real error;
     residual_of(nearby, right, point, &residual);
     error = error_of(nearby, right, point, &residual, least);
-    if (k > 0 && error <= FOLLOWED && last <= kpirl_mpc_larger(SETTLED * change, FOLLOWED * whole))
+    if (k > 0 && error <= FOLLOWED && last <= kpirl_mpc_max(SETTLED * change, FOLLOWED * whole))
       return change > 0 ? change / whole : 0;
     last = correct(s, &residual, point, work);
     for (i = 0; i < n_w; ++i) residual.x[i] = point->x[i] - before[i];

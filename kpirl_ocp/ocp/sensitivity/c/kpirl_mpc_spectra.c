@@ -83,7 +83,7 @@ static void multipliers(const void *self, const real *b, real *product) {
   int i;
   memset(r, 0, (size_t)n_w * sizeof(real));
   for (i = 0; i < m; ++i) product[i] = b[i] * s->active[i] / s->lengths[i] / DEPENDENCE;
-  kpirl_mpc_rows_push(s, product, r);
+  kpirl_mpc_rows_transposed_times(s, product, r);
   x = inverse_times(s, r, r + n_w);
   kpirl_mpc_rows_times(s, x, product);
   for (i = 0; i < m; ++i) product[i] = (b[i] - product[i] * s->active[i] / s->lengths[i]) / DEPENDENCE;
@@ -113,7 +113,7 @@ int kpirl_mpc_system_factor(kpirl_mpc_system *s, const real *start) {
   return immovable;
 }
 
-real kpirl_mpc_system_softest(const kpirl_mpc_system *s, int negative, const real *start, real *direction) {
+real kpirl_mpc_system_lowest_mode(const kpirl_mpc_system *s, int negative, const real *start, real *direction) {
   const int n_w = kpirl_mpc_system_n_point(s), n = s->n_decisions;
   real *vector = vectors_of(s), *basis = vector + n, value, size;
   working with;
@@ -139,7 +139,7 @@ real kpirl_mpc_system_qualification(kpirl_mpc_system *s, const real *start) {
   kpirl_mpc_factor_weighted(s, NULL, vector);
   for (i = 0; i < m; ++i) vector[i] = s->active[i] * start[i];
   value = 1 / kpirl_mpc_eigenvalue(multipliers, &with, m, KPIRL_MPC_HIGHEST, vector, basis) - DEPENDENCE;
-  return value > 0 ? kpirl_mpc_root(value) : value == value ? 0 : value;
+  return value > 0 ? kpirl_mpc_sqrt(value) : value == value ? 0 : value;
 }
 
 /* ---- few rows ------------------------------------------------------------------------------------------------- */
@@ -221,5 +221,5 @@ real kpirl_mpc_system_few_rows(const kpirl_mpc_system *s, const real *start) {
   factor(&with);
   basis = with.V + (size_t)n * with.count;
   value = 1 / kpirl_mpc_eigenvalue(inverse, &with, n + with.count, KPIRL_MPC_HIGHEST, vector, basis) - DEPENDENCE;
-  return value > 0 ? kpirl_mpc_root(value) : value == value ? 0 : value;
+  return value > 0 ? kpirl_mpc_sqrt(value) : value == value ? 0 : value;
 }

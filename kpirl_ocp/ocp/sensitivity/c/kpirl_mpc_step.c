@@ -36,13 +36,13 @@ static void find_lowest(kpirl_mpc_kkt *k, int n_active) {
   int negative;
   real value;
   k->lowest = (real)INFINITY;
-  memset(k->softest, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  memset(k->lowest_mode, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
   if (n_active >= s->n_decisions) return;
   negative = any_negative(s->factors.pivots, s->horizon * s->n_actions) || any_negative(s->factors.free_pivots, s->n_free);
-  value = kpirl_mpc_system_softest(s, negative, k->rows->normal, k->softest);
+  value = kpirl_mpc_system_lowest_mode(s, negative, k->rows->normal, k->lowest_mode);
   k->lowest = !isfinite(value) ? 0 : negative != (value < 0) ? (real)NAN : 1 / value;
   if (!isfinite(value) || negative != (value < 0))
-    memset(k->softest, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+    memset(k->lowest_mode, 0, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
 }
 
 static real find_qualification(kpirl_mpc_kkt *k, int n_active) {
@@ -90,7 +90,7 @@ static void newton_right(const kpirl_mpc_kkt *k, kpirl_mpc_triple *right) {
   int i;
   for (i = 0; i < m; ++i) missing[i] = k->pushing[i] - (i < s->n_bounds ? 0 : k->point.forces[i]);
   memcpy(right->x, k->gradient, (size_t)n_w * sizeof(real));
-  kpirl_mpc_rows_push(s, missing, right->x);
+  kpirl_mpc_rows_transposed_times(s, missing, right->x);
   for (i = 0; i < n_w; ++i) right->x[i] = -right->x[i];
   for (i = 0; i < s->horizon * s->n_states; ++i) right->costates[i] = -k->defects[i];
   for (i = 0; i < m; ++i) right->forces[i] = s->active[i] != 0 ? k->slack[i] : 0;
@@ -203,7 +203,7 @@ void kpirl_mpc_kkt_reach(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby) {
   kpirl_mpc_rows_times(s, k->move.x, slack);
   for (i = 0; i < m; ++i) slack[i] = k->slack[i] - slack[i];
   k->margin = smallest_margin(k, nearby->point.forces, slack, relative);
-  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) nearby->point.x[i] += KNOWN * size * k->softest[i];
+  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) nearby->point.x[i] += KNOWN * size * k->lowest_mode[i];
   nearby->numbers = k->numbers;
   nearby->barrier = k->barrier;
   nearby->evaluated = 0;

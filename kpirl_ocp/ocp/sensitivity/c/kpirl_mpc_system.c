@@ -37,36 +37,23 @@ int kpirl_mpc_system_scratch(const kpirl_mpc_system *s) {
 
 /* ---- products ----------------------------------------------------------------------------------------------- */
 
-static void block_times(const kpirl_mpc_system *s, const real *columns, int rows, int last_rows, const real *x, real *values) {
-  const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
-  int t;
-  for (t = 0; rows > 0 && t < T; ++t)
-    kpirl_mpc_transposed_times_vector(columns + t * n_x * rows, n_x, rows, x + t * n_x, values + t * rows);
-  kpirl_mpc_transposed_times_vector(columns + T * n_x * rows, n_s, last_rows, x + T * n_x, values + T * rows);
-}
-
-static void block_push(const kpirl_mpc_system *s, const real *columns, int rows, int last_rows, const real *forces,
-                       real *pushed) {
-  const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
-  int t;
-  for (t = 0; rows > 0 && t < T; ++t)
-    kpirl_mpc_times_vector(columns + t * n_x * rows, n_x, rows, forces + t * rows, pushed + t * n_x);
-  if (last_rows > 0) kpirl_mpc_times_vector(columns + T * n_x * rows, n_s, last_rows, forces + T * rows, pushed + T * n_x);
-}
-
 void kpirl_mpc_rows_times(const kpirl_mpc_system *s, const real *x, real *values) {
+  const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
+  real *path = values + s->n_bounds, *equality = path + n_path(s);
   int i;
   for (i = 0; i < s->n_bounds; ++i) values[i] = s->signs[i] * x[s->entries[i]];
-  memset(values + s->n_bounds, 0, (size_t)(n_path(s) + n_equality(s)) * sizeof(real));
-  block_times(s, s->G, s->n_path, s->n_terminal, x, values + s->n_bounds);
-  block_times(s, s->E, s->n_equality, s->n_terminal_equality, x, values + s->n_bounds + n_path(s));
+  memset(path, 0, (size_t)(n_path(s) + n_equality(s)) * sizeof(real));
+  kpirl_mpc_stage_rows_times(T, n_s, n_x, s->G, s->n_path, s->n_terminal, x, path);
+  kpirl_mpc_stage_rows_times(T, n_s, n_x, s->E, s->n_equality, s->n_terminal_equality, x, equality);
 }
 
-void kpirl_mpc_rows_push(const kpirl_mpc_system *s, const real *forces, real *pushed) {
+void kpirl_mpc_rows_transposed_times(const kpirl_mpc_system *s, const real *forces, real *product) {
+  const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
+  const real *path = forces + s->n_bounds, *equality = path + n_path(s);
   int i;
-  for (i = 0; i < s->n_bounds; ++i) pushed[s->entries[i]] += s->signs[i] * forces[i];
-  block_push(s, s->G, s->n_path, s->n_terminal, forces + s->n_bounds, pushed);
-  block_push(s, s->E, s->n_equality, s->n_terminal_equality, forces + s->n_bounds + n_path(s), pushed);
+  for (i = 0; i < s->n_bounds; ++i) product[s->entries[i]] += s->signs[i] * forces[i];
+  kpirl_mpc_stage_rows_transposed_times(T, n_s, n_x, s->G, s->n_path, s->n_terminal, path, product);
+  kpirl_mpc_stage_rows_transposed_times(T, n_s, n_x, s->E, s->n_equality, s->n_terminal_equality, equality, product);
 }
 
 void kpirl_mpc_hessian_times(const kpirl_mpc_system *s, const real *x, real *product) {
@@ -79,12 +66,12 @@ void kpirl_mpc_hessian_times(const kpirl_mpc_system *s, const real *x, real *pro
   }
 }
 
-void kpirl_mpc_costates_push(const kpirl_mpc_system *s, const real *costates, real *pushed) {
+void kpirl_mpc_defects_transposed_times(const kpirl_mpc_system *s, const real *costates, real *product) {
   const int n_s = s->n_states, n_x = n_s + s->n_actions;
   int t, i;
   for (t = 0; t < s->horizon; ++t) {
-    kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, costates + t * n_s, pushed + t * n_x);
-    for (i = 0; i < n_s; ++i) pushed[(t + 1) * n_x + i] -= costates[t * n_s + i];
+    kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, costates + t * n_s, product + t * n_x);
+    for (i = 0; i < n_s; ++i) product[(t + 1) * n_x + i] -= costates[t * n_s + i];
   }
 }
 
@@ -98,19 +85,15 @@ void kpirl_mpc_defects_times(const kpirl_mpc_system *s, const real *x, real *def
   }
 }
 
-void kpirl_mpc_balance_and_rows(const kpirl_mpc_system *s, const kpirl_mpc_triple *at, real *balance, real *values) {
+void kpirl_mpc_system_balance(const kpirl_mpc_system *s, const kpirl_mpc_triple *at, real *balance, real *values) {
   const int m = kpirl_mpc_system_n_rows(s);
   real *forces = s->scratch;
   int i;
   kpirl_mpc_hessian_times(s, at->x, balance);
-  kpirl_mpc_costates_push(s, at->costates, balance);
+  kpirl_mpc_defects_transposed_times(s, at->costates, balance);
   kpirl_mpc_rows_times(s, at->x, values);
   for (i = 0; i < m; ++i) forces[i] = at->forces[i] + s->sigma[i] * values[i];
-  kpirl_mpc_rows_push(s, forces, balance);
-}
-
-void kpirl_mpc_system_balance(const kpirl_mpc_system *s, const kpirl_mpc_triple *point, real *balance) {
-  kpirl_mpc_balance_and_rows(s, point, balance, s->scratch + kpirl_mpc_system_inner_scratch(s));
+  kpirl_mpc_rows_transposed_times(s, forces, balance);
 }
 
 /* ---- factors ------------------------------------------------------------------------------------------------------------ */
@@ -158,5 +141,5 @@ real kpirl_mpc_decision_norm(const kpirl_mpc_system *s, const real *x) {
     const real v = s->roots[i] * x[s->decisions[i]];
     sum += v * v;
   }
-  return kpirl_mpc_root(sum);
+  return kpirl_mpc_sqrt(sum);
 }

@@ -64,17 +64,17 @@ int kpirl_mpc_system_scratch(const kpirl_mpc_system *system);
 /* A triple in memory of kpirl_mpc_system_n_triple numbers; returns the end of it. */
 real *kpirl_mpc_place_triple(const kpirl_mpc_system *system, real *memory, kpirl_mpc_triple *triple);
 
-/* Products: values (m) = C x; pushed (n_w) += C' forces. */
+/* Products: values (m) = C x; product (n_w) += C' forces. */
 void kpirl_mpc_rows_times(const kpirl_mpc_system *system, const real *x, real *values);
-void kpirl_mpc_rows_push(const kpirl_mpc_system *system, const real *forces, real *pushed);
+void kpirl_mpc_rows_transposed_times(const kpirl_mpc_system *system, const real *forces, real *product);
 
-/* product (n_w) = H x; pushed (n_w) += A' lambda; and F_t x_t - s_{t+1} (T n_s) */
+/* product (n_w) = H x; product (n_w) += A' lambda; defects (T n_s) = A x */
 void kpirl_mpc_hessian_times(const kpirl_mpc_system *system, const real *x, real *product);
-void kpirl_mpc_costates_push(const kpirl_mpc_system *system, const real *costates, real *pushed);
+void kpirl_mpc_defects_transposed_times(const kpirl_mpc_system *system, const real *costates, real *product);
 void kpirl_mpc_defects_times(const kpirl_mpc_system *system, const real *x, real *defects);
 
-/* balance (n_w) = (H + C' sigma C) x + A' lambda + C' mu, all entries of s_0 included. */
-void kpirl_mpc_system_balance(const kpirl_mpc_system *system, const kpirl_mpc_triple *point, real *balance);
+/* balance (n_w) = (H + C' sigma C) x + A' lambda + C' mu, all entries of s_0 included; values (m) = C x. */
+void kpirl_mpc_system_balance(const kpirl_mpc_system *system, const kpirl_mpc_triple *point, real *balance, real *values);
 
 /* The curvature (n_w) that each entry of x has within its own stage and the next one, an upper bound. */
 void kpirl_mpc_system_curvature(const kpirl_mpc_system *system, real *curvature);
@@ -106,8 +106,8 @@ real kpirl_mpc_system_reach(const kpirl_mpc_system *system, kpirl_mpc_triple *ri
 real kpirl_mpc_point_norm(const kpirl_mpc_system *system, const real *x);
 
 /* The highest (lowest if `negative`) eigenvalue of the inverse of the reduced Hessian, in the decisions by their roots, with its
- * vector of length one as x (n_w). */
-real kpirl_mpc_system_softest(const kpirl_mpc_system *system, int negative, const real *start, real *direction);
+ * vector of length one as x (n_w): the lowest mode of the reduced Hessian. */
+real kpirl_mpc_system_lowest_mode(const kpirl_mpc_system *system, int negative, const real *start, real *direction);
 
 /* The smallest singular value of the active rows, scaled to length one. start: (m) random numbers. Overwrites the factors. The
  * same without factors, where at most KPIRL_MPC_FEW active rows are no bounds of decisions; and how many are not. Of rows by their
@@ -127,8 +127,6 @@ void kpirl_mpc_moved_by_decisions(const kpirl_mpc_system *system, int row, real 
 int kpirl_mpc_find_lengths(kpirl_mpc_system *system);
 
 int kpirl_mpc_system_inner_scratch(const kpirl_mpc_system *system); /* that products and factors take, at the front */
-/* kpirl_mpc_system_balance, and the values (m) of the rows */
-void kpirl_mpc_balance_and_rows(const kpirl_mpc_system *system, const kpirl_mpc_triple *point, real *balance, real *values);
 /* A value relative to a size that may be zero; the larger of two, infinite if one is NaN. */
 real kpirl_mpc_over(real value, real size);
 real kpirl_mpc_worse(real a, real b);

@@ -65,7 +65,7 @@ static int descend(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpirl
   for (k = 0; k < mpc->settings.steps; ++k) {
     const real cost = evaluate(mpc, numbers, work->actions[k], NULL, NULL);
     if (k == 0) *initial = cost;
-    if (kpirl_mpc_late(mpc)) break;
+    if (kpirl_mpc_out_of_time(mpc)) break;
     step(mpc, work->actions[k], work->actions[k + 1]);
   }
   return k;
@@ -107,9 +107,9 @@ void kpirl_mpc_plan(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, const kpir
   find_multipliers(mpc, final, solution->action_bounds);
   for (i = 0; i < N; ++i) stationarity[i] = work->gradient[i] + solution->action_bounds[i];
   sizes[0] = 1;
-  sizes[1] = kpirl_mpc_largest(work->gradient, N);
-  sizes[2] = kpirl_mpc_largest(work->costates, T * NS);
-  kpirl_mpc_set_residuals(solution, kpirl_mpc_largest(stationarity, N), 0, 0, kpirl_mpc_largest(sizes, 3));
+  sizes[1] = kpirl_mpc_norm_inf(work->gradient, N);
+  sizes[2] = kpirl_mpc_norm_inf(work->costates, T * NS);
+  kpirl_mpc_set_residuals(solution, kpirl_mpc_norm_inf(stationarity, N), 0, 0, kpirl_mpc_norm_inf(sizes, 3));
   solution->status = status_of(mpc, solution, initial);
 }
 

@@ -139,9 +139,9 @@ static void audit(kpirl_mpc *mpc, const kpirl_mpc_numbers *numbers, kpirl_mpc_so
     if (isfinite(low)) add_bound(w - low, two ? larger(-nu, 0) : -nu, &violation, &product);
     if (isfinite(high)) add_bound(high - w, two ? larger(nu, 0) : nu, &violation, &product);
   }
-  violation = larger(kpirl_mpc_largest(work->rows, EQUALITIES), violation);
+  violation = larger(kpirl_mpc_norm_inf(work->rows, EQUALITIES), violation);
   for (i = EQUALITIES; i < ROWS; ++i) add_bound(-work->rows[i], work->of_rows[i], &violation, &product);
-  scale = larger(kpirl_mpc_largest(work->of_rows, ROWS), scale);
+  scale = larger(kpirl_mpc_norm_inf(work->of_rows, ROWS), scale);
   kpirl_mpc_set_residuals(solution, stationarity, violation, product, scale);
 }
 
@@ -152,7 +152,7 @@ int kpirl_mpc_sqp_stops(void *watch, int iterations, real violation, real statio
   const kpirl_mpc_settings *settings = &mpc->settings;
   mpc->work.iterations = iterations;
   if (violation < settings->tolerance && stationarity < settings->tolerance) return 1;
-  mpc->work.late = kpirl_mpc_late(mpc);
+  mpc->work.late = kpirl_mpc_out_of_time(mpc);
   return mpc->work.late || iterations >= settings->max_iterations;
 }
 

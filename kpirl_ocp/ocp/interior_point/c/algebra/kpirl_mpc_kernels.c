@@ -234,3 +234,21 @@ void kpirl_mpc_add_rows(const real *columns, int n, int rows, const real *weight
     }
   }
 }
+
+void kpirl_mpc_stage_rows_times(int T, int n_s, int n_x, const real *gradients, int rows, int last_rows, const real *x,
+                                real *values) {
+  int t;
+  for (t = 0; rows > 0 && t < T; ++t)
+    kpirl_mpc_transposed_times_vector(gradients + t * n_x * rows, n_x, rows, x + t * n_x, values + t * rows);
+  if (last_rows > 0)
+    kpirl_mpc_transposed_times_vector(gradients + T * n_x * rows, n_s, last_rows, x + T * n_x, values + T * rows);
+}
+
+void kpirl_mpc_stage_rows_transposed_times(int T, int n_s, int n_x, const real *gradients, int rows, int last_rows,
+                                           const real *values, real *product) {
+  int t;
+  for (t = 0; rows > 0 && t < T; ++t)
+    kpirl_mpc_times_vector(gradients + t * n_x * rows, n_x, rows, values + t * rows, product + t * n_x);
+  if (last_rows > 0)
+    kpirl_mpc_times_vector(gradients + T * n_x * rows, n_s, last_rows, values + T * rows, product + T * n_x);
+}

@@ -13,7 +13,7 @@ int kpirl_mpc_all_finite(const real *values, int count) {
   return sum == 0;
 }
 
-real kpirl_mpc_largest(const real *values, int count) {
+real kpirl_mpc_norm_inf(const real *values, int count) {
   real most[LANES] = {0}, zero[LANES] = {0}, result = 0, invalid = 0;
   int i = 0, k;
   for (; i + LANES <= count; i += LANES)
@@ -23,17 +23,17 @@ real kpirl_mpc_largest(const real *values, int count) {
       zero[k] += values[i + k] * 0;
     }
   for (; i < count; ++i) {
-    result = kpirl_mpc_larger(kpirl_mpc_abs(values[i]), result);
+    result = kpirl_mpc_max(kpirl_mpc_abs(values[i]), result);
     if (isnan(values[i])) invalid = values[i];
   }
   for (k = 0; count >= LANES && k < LANES; ++k) {
-    result = kpirl_mpc_larger(most[k], result);
+    result = kpirl_mpc_max(most[k], result);
     if (isnan(zero[k]) && result < (real)INFINITY) invalid = zero[k]; /* infinity times zero is NaN, too */
   }
   return isnan(invalid) ? invalid : result;
 }
 
-real kpirl_mpc_absolute_sum(const real *values, int count) {
+real kpirl_mpc_norm_1(const real *values, int count) {
   real part[LANES] = {0}, sum = 0;
   int i = 0, k;
   for (; i + LANES <= count; i += LANES)
@@ -63,7 +63,7 @@ real kpirl_mpc_absolute_dot(const real *a, const real *b, int count) {
   return sum;
 }
 
-real kpirl_mpc_length(const real *values, int count) { return kpirl_mpc_root(kpirl_mpc_dot(values, values, count)); }
+real kpirl_mpc_norm_2(const real *values, int count) { return kpirl_mpc_sqrt(kpirl_mpc_dot(values, values, count)); }
 
 void kpirl_mpc_axpy(real factor, const real *restrict x, int count, real *restrict y) {
   int i;

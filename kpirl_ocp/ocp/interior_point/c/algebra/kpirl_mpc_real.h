@@ -24,18 +24,18 @@
 
 typedef kpirl_mpc_real real;
 
-static inline real kpirl_mpc_larger(real a, real b) { return a > b ? a : b; }
-static inline real kpirl_mpc_smaller(real a, real b) { return a < b ? a : b; }
+static inline real kpirl_mpc_max(real a, real b) { return a > b ? a : b; }
+static inline real kpirl_mpc_min(real a, real b) { return a < b ? a : b; }
 static inline real kpirl_mpc_abs(real a) { return KPIRL_MPC_MATH(fabs)(a); }
-static inline real kpirl_mpc_root(real a) { return KPIRL_MPC_MATH(sqrt)(a); }
-static inline real kpirl_mpc_power(real a, real b) { return KPIRL_MPC_MATH(pow)(a, b); }
+static inline real kpirl_mpc_sqrt(real a) { return KPIRL_MPC_MATH(sqrt)(a); }
+static inline real kpirl_mpc_pow(real a, real b) { return KPIRL_MPC_MATH(pow)(a, b); }
 
 int kpirl_mpc_all_finite(const real *values, int count);
-real kpirl_mpc_largest(const real *values, int count); /* of the absolute values; 0 for none */
-real kpirl_mpc_absolute_sum(const real *values, int count);
+real kpirl_mpc_norm_inf(const real *values, int count); /* of the absolute values; 0 for none */
+real kpirl_mpc_norm_1(const real *values, int count);
 real kpirl_mpc_dot(const real *a, const real *b, int count);
 real kpirl_mpc_absolute_dot(const real *a, const real *b, int count); /* of absolute values */
-real kpirl_mpc_length(const real *values, int count);                 /* Euclidean */
+real kpirl_mpc_norm_2(const real *values, int count);                 /* Euclidean */
 void kpirl_mpc_axpy(real factor, const real *x, int count, real *y); /* y += factor x */
 real kpirl_mpc_log_sum(const real *values, int count);               /* of logarithms */
 

@@ -27,7 +27,7 @@ void kpirl_mpc_inverse_root(real *A, int n, real *W, real *pivots) {
     }
   }
   for (i = 0; i < n; ++i) {
-    const real scale = 1 / kpirl_mpc_root(kpirl_mpc_abs(pivots[i]));
+    const real scale = 1 / kpirl_mpc_sqrt(kpirl_mpc_abs(pivots[i]));
     for (j = 0; j <= i; ++j) W[i + j * n] *= scale;
   }
 }
@@ -71,7 +71,7 @@ void kpirl_mpc_factor_start(int n_s, int n_free, const int *free, const real *P_
   kpirl_mpc_inverse_root(scratch, n_free, factors->free_W, factors->free_pivots);
 }
 
-/* y = -W' J (v), of length n. work: n numbers. */
+/* y (n) = -W' J v. work: n numbers. */
 static void apply_root(const real *W, const real *pivots, int n, const real *v, real *work, real *y) {
   int i;
   for (i = 0; i < n; ++i) work[i] = -sign(pivots[i]) * v[i];
@@ -141,11 +141,8 @@ void kpirl_mpc_substitute(int horizon, int n_s, int n_u, int n_free, const int *
   }
 }
 
-void kpirl_mpc_gain(int n_s, int n_u, const real *W, const real *Y, const real *pivots, real *scratch, real *K) {
-  int i, j;
-  for (j = 0; j < n_s; ++j) {
-    for (i = 0; i < n_u; ++i) scratch[i] = -sign(pivots[i]) * Y[i + j * n_u];
-    memset(K + j * n_u, 0, (size_t)n_u * sizeof(real));
-    kpirl_mpc_transposed_times_vector(W, n_u, n_u, scratch, K + j * n_u);
-  }
+void kpirl_mpc_gain(int n_s, int n_u, const kpirl_mpc_factors *factors, int t, real *scratch, real *K) {
+  const real *W = factors->W + (size_t)t * n_u * n_u, *Y = factors->Y + (size_t)t * n_u * n_s;
+  int j;
+  for (j = 0; j < n_s; ++j) apply_root(W, factors->pivots + t * n_u, n_u, Y + j * n_u, scratch, K + j * n_u);
 }

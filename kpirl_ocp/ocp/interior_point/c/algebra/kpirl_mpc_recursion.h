@@ -50,7 +50,7 @@ void kpirl_mpc_substitute(int horizon, int n_s, int n_u, int n_free, const int *
                           real *x, real *costates);
 int kpirl_mpc_substitute_scratch(int horizon, int n_s, int n_u);
 
-/* K (n_u, n_s) = -W' J Y of a stage: the feedback u = .. + K s. scratch: n_u n_s numbers. */
-void kpirl_mpc_gain(int n_s, int n_u, const real *W, const real *Y, const real *pivots, real *scratch, real *K);
+/* K (n_u, n_s) = -W' J Y of stage t: the feedback u = .. + K s. scratch: n_u numbers. */
+void kpirl_mpc_gain(int n_s, int n_u, const kpirl_mpc_factors *factors, int t, real *scratch, real *K);
 
 #endif

@@ -17,10 +17,10 @@
 
 /* Can an inequality be violated? Bounds of decisions can not. */
 static int can_be_elastic(const kpirl_mpc_core *core, int row) {
-  const int n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), low = core->n_lower;
+  const int n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
   int entry;
   if (row >= kpirl_mpc_n_bounds(core)) return 1;
-  entry = row < low ? core->lower[row] : core->upper[row - low];
+  entry = kpirl_mpc_bounded_entry(core, row);
   return entry >= n_s && entry % n_x < n_s;
 }
 
@@ -36,7 +36,7 @@ int kpirl_mpc_has_elastic(const kpirl_mpc_core *core) {
 
 /* (width - rho g + sqrt(rho^2 g^2 + width^2)) / (2 rho), without cancellation. */
 static real slack(real rho, real width, real g) {
-  const real a = width - rho * g, root = kpirl_mpc_root(rho * rho * g * g + width * width);
+  const real a = width - rho * g, root = kpirl_mpc_sqrt(rho * rho * g * g + width * width);
   return a > 0 ? (a + root) / (2 * rho) : width * g / (root - a);
 }
 
@@ -62,7 +62,7 @@ static real penalise_equality(const kpirl_mpc_core *core, int i, real c, real *n
 static real size_of(const real *column, int rows, int stages, int stride) {
   real size = 0;
   int t;
-  for (t = 0; t < stages; ++t) size = kpirl_mpc_larger(kpirl_mpc_largest(column + (size_t)t * stride, rows), size);
+  for (t = 0; t < stages; ++t) size = kpirl_mpc_max(kpirl_mpc_norm_inf(column + (size_t)t * stride, rows), size);
   return size > 0 ? size : 1;
 }
 
@@ -108,7 +108,7 @@ void kpirl_mpc_relax(kpirl_mpc_core *core) {
 }
 
 /* The derivative of the penalty along the step, of which elastic rows are no part: nothing limits its length for them. */
-void kpirl_mpc_let_go(kpirl_mpc_core *core) {
+void kpirl_mpc_elastic_step(kpirl_mpc_core *core) {
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
   const kpirl_mpc_iterate *at = &core->at;
   kpirl_mpc_step *step = &core->step;
@@ -133,7 +133,7 @@ void kpirl_mpc_harden(kpirl_mpc_core *core) {
   for (i = 0; i < m; ++i) {
     const real size = core->row_sizes[i];
     if (!kpirl_mpc_is_elastic(core, i)) continue;
-    core->at.y[i] = kpirl_mpc_larger(-core->d.g[i], size * slack(rho, 2 * core->tau, core->d.g[i] / size));
+    core->at.y[i] = kpirl_mpc_max(-core->d.g[i], size * slack(rho, 2 * core->tau, core->d.g[i] / size));
     core->at.z[i] = 0;
   }
   core->penalty = 0;

@@ -12,9 +12,9 @@ void kpirl_mpc_start_filter(kpirl_mpc_core *core) {
   kpirl_mpc_filter *filter = &core->filter;
   const real theta = core->d.violation;
   const int n_w = kpirl_mpc_n_point(core);
-  filter->largest = (real)1e2 * kpirl_mpc_larger(1, theta);
-  filter->small = (real)1e-4 * kpirl_mpc_larger(1, theta);
-  filter->feasible = ROUNDING * ((real)n_w + kpirl_mpc_absolute_sum(core->at.x, n_w));
+  filter->largest = (real)1e2 * kpirl_mpc_max(1, theta);
+  filter->small = (real)1e-4 * kpirl_mpc_max(1, theta);
+  filter->feasible = ROUNDING * ((real)n_w + kpirl_mpc_norm_1(core->at.x, n_w));
   filter->count = 0;
 }
 
@@ -38,15 +38,15 @@ static void add(kpirl_mpc_filter *filter, real theta, real phi) {
   filter->count = kept + 1;
 }
 
-int kpirl_mpc_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, kpirl_mpc_merit trial) {
+int kpirl_mpc_filter_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, kpirl_mpc_merit trial) {
   const real tolerated = ROUNDING * kpirl_mpc_abs(before.phi);
   int i;
   if (!isfinite(trial.theta) || !isfinite(trial.phi) || trial.theta > filter->largest) return 0;
   for (i = 0; i < filter->count; ++i)
     if (trial.theta - filter->feasible >= filter->theta[i] && trial.phi - tolerated > filter->phi[i]) return 0;
   if (before.theta <= filter->feasible || (slope < 0 && before.theta <= filter->small &&
-      length * kpirl_mpc_power(-slope, (real)2.3) > kpirl_mpc_power(before.theta, (real)1.1)))
-    return trial.phi <= before.phi + ARMIJO * length * kpirl_mpc_smaller(slope, 0) + tolerated;
+      length * kpirl_mpc_pow(-slope, (real)2.3) > kpirl_mpc_pow(before.theta, (real)1.1)))
+    return trial.phi <= before.phi + ARMIJO * length * kpirl_mpc_min(slope, 0) + tolerated;
   if (!(trial.theta <= (1 - VIOLATION) * before.theta || trial.phi <= before.phi - OBJECTIVE * before.theta + tolerated))
     return 0;
   add(filter, (1 - VIOLATION) * before.theta, before.phi - OBJECTIVE * before.theta);

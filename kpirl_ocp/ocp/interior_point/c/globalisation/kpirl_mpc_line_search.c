@@ -35,12 +35,12 @@ static void swap(kpirl_mpc_iterate *a, kpirl_mpc_iterate *b) {
 }
 
 /* Go to the trial point; `level` says how much to find out about it. */
-void kpirl_mpc_arrive(kpirl_mpc_core *core, int level) {
+void kpirl_mpc_accept_trial(kpirl_mpc_core *core, int level) {
   const int m = kpirl_mpc_n_inequalities(core);
   int i;
   for (i = 0; i < m; ++i) core->trial.z[i] = core->at.z[i] + core->step.dual_length * core->step.change.z[i];
   swap(&core->at, &core->trial);
-  kpirl_mpc_inequalities(core, core->at.x, core->force + core->n_lower + core->n_upper, core->d.g);
+  kpirl_mpc_inequalities(core, core->at.x, core->force + kpirl_mpc_n_bounds(core), core->d.g);
   kpirl_mpc_centre(core);
   if (core->penalty > 0) {
     memcpy(core->d.c, core->at.nu, (size_t)kpirl_mpc_n_equalities(core) * sizeof(real));
@@ -53,9 +53,9 @@ void kpirl_mpc_arrive(kpirl_mpc_core *core, int level) {
  * leaves most of them. */
 static int contradictory(const kpirl_mpc_core *core) {
   const int n_c = kpirl_mpc_n_equalities(core);
-  const real violation = kpirl_mpc_largest(core->d.c, n_c);
+  const real violation = kpirl_mpc_norm_inf(core->d.c, n_c);
   return core->penalty <= 0 && violation > core->tolerance &&
-         KPIRL_MPC_PROXIMAL * kpirl_mpc_largest(core->step.change.nu, n_c) > LEFT * violation;
+         KPIRL_MPC_PROXIMAL * kpirl_mpc_norm_inf(core->step.change.nu, n_c) > LEFT * violation;
 }
 
 /* The lifted trial violates the constraints more, to second order. One along the dynamics leaves (1 - length) of their defects, as the
@@ -64,10 +64,10 @@ static int corrected_fits(kpirl_mpc_core *core, kpirl_mpc_merit before, real slo
   kpirl_mpc_merit trial;
   real price;
   ++core->trials;
-  kpirl_mpc_try(core, length, 0, &trial);
-  price = kpirl_mpc_largest(core->trial.costates, DIM(core, horizon) * DIM(core, n_states));
+  kpirl_mpc_trial_point(core, length, 0, &trial);
+  price = kpirl_mpc_norm_inf(core->trial.costates, DIM(core, horizon) * DIM(core, n_states));
   return trial.phi + price * trial.theta <= before.phi + price * before.theta &&
-         kpirl_mpc_accepts(&core->filter, before, slope, length, trial);
+         kpirl_mpc_filter_accepts(&core->filter, before, slope, length, trial);
 }
 
 /* Move by the longest length that the filter accepts, if there is one above a fraction `least` of the whole step; far from
@@ -75,12 +75,12 @@ static int corrected_fits(kpirl_mpc_core *core, kpirl_mpc_merit before, real slo
 static int move_along(kpirl_mpc_core *core, real least) {
   const kpirl_mpc_step *step = &core->step;
   const int n_w = kpirl_mpc_n_point(core);
-  const real largest = kpirl_mpc_largest(step->change.x, n_w);
-  const real size = 1 + kpirl_mpc_largest(core->at.x, n_w);
+  const real largest = kpirl_mpc_norm_inf(step->change.x, n_w);
+  const real size = 1 + kpirl_mpc_norm_inf(core->at.x, n_w);
   const int tiny = step->regularisation == 0 && largest <= TINY * size && !contradictory(core);
   const real slope = kpirl_mpc_slope(core);
   const real rounding = !tiny && core->d.violation > core->filter.small ? ROUNDING * size / largest : 0;
-  const real shortest = kpirl_mpc_larger(kpirl_mpc_larger(SHORTEST, rounding), least * step->primal_length);
+  const real shortest = kpirl_mpc_max(kpirl_mpc_max(SHORTEST, rounding), least * step->primal_length);
   real length = step->primal_length;
   kpirl_mpc_merit before, trial;
   before.theta = core->d.violation;
@@ -88,12 +88,12 @@ static int move_along(kpirl_mpc_core *core, real least) {
   if (core->penalty > 0) before.phi += kpirl_mpc_penalty(core, core->d.g, core->d.c);
   while (length >= shortest) {
     ++core->trials;
-    kpirl_mpc_try(core, length, core->lifted, &trial);
-    if ((tiny && isfinite(trial.phi)) || kpirl_mpc_accepts(&core->filter, before, slope, length, trial) ||
+    kpirl_mpc_trial_point(core, length, core->lifted, &trial);
+    if ((tiny && isfinite(trial.phi)) || kpirl_mpc_filter_accepts(&core->filter, before, slope, length, trial) ||
         (isfinite(trial.phi) && trial.theta >= before.theta && kpirl_mpc_off_dynamics(core) &&
          corrected_fits(core, before, slope, length))) {
       core->step.primal_length = length;
-      kpirl_mpc_arrive(core, KPIRL_MPC_SECOND);
+      kpirl_mpc_accept_trial(core, KPIRL_MPC_SECOND);
       return 1;
     }
     length = isinf(trial.phi) ? kpirl_mpc_shortened(core, length) : length / 2;
@@ -105,22 +105,22 @@ static int move_along(kpirl_mpc_core *core, real least) {
  * a predictor chose on the way leaves no room to turn. */
 static void hold_tau(kpirl_mpc_core *core) {
   const real before = core->tau;
-  if (!core->held) core->indefinite_tau = kpirl_mpc_larger(kpirl_mpc_start_tau(core), core->indefinite_tau);
+  if (!core->held) core->indefinite_tau = kpirl_mpc_max(kpirl_mpc_start_tau(core), core->indefinite_tau);
   core->held = 1;
-  core->tau = kpirl_mpc_larger(core->tau, core->indefinite_tau);
+  core->tau = kpirl_mpc_max(core->tau, core->indefinite_tau);
   if (core->tau != before) kpirl_mpc_start_filter(core);
 }
 
 /* Where the barrier problem is solved though its Hessian is not positive: off this point, once for each tau, if the gradient is
  * small, too; else to the next tau (Waechter and Biegler, 2006, section 2.1). Returns whether it moved. */
 static int leave_saddle(kpirl_mpc_core *core, real least) {
-  const real tau = core->tau, lower = kpirl_mpc_smaller((real)0.2 * tau, kpirl_mpc_power(tau, (real)1.5));
-  const real gradient = kpirl_mpc_largest(core->d.gradient, kpirl_mpc_n_point(core));
+  const real tau = core->tau, lower = kpirl_mpc_min((real)0.2 * tau, kpirl_mpc_pow(tau, (real)1.5));
+  const real gradient = kpirl_mpc_norm_inf(core->d.gradient, kpirl_mpc_n_point(core));
   if (tau < core->escaped_tau && gradient <= STATIONARY * core->most_gradient && kpirl_mpc_escape(core, WORTHWHILE) > 0) {
     core->escaped_tau = tau;
     return 1;
   }
-  core->indefinite_tau = core->tau = kpirl_mpc_larger(least, lower);
+  core->indefinite_tau = core->tau = kpirl_mpc_max(least, lower);
   if (core->tau != tau) kpirl_mpc_start_filter(core);
   return 0;
 }
@@ -129,17 +129,17 @@ static int leave_saddle(kpirl_mpc_core *core, real least) {
  * a first step that seems to solve everything would leave tau far behind the conditions where constraints are curved. */
 static real kept_tau(kpirl_mpc_core *core, real least) {
   const int n_w = kpirl_mpc_n_point(core), m = kpirl_mpc_n_inequalities(core);
-  const real rounding = ROUNDING * (kpirl_mpc_absolute_sum(core->d.g, m) + kpirl_mpc_absolute_sum(core->at.x, n_w));
-  const real violation = kpirl_mpc_larger(core->d.violation - rounding, 0);
-  const real gradient = kpirl_mpc_largest(core->d.gradient, n_w);
-  const real cost_gradient = kpirl_mpc_largest(core->d.cost_gradient, n_w);
+  const real rounding = ROUNDING * (kpirl_mpc_norm_1(core->d.g, m) + kpirl_mpc_norm_1(core->at.x, n_w));
+  const real violation = kpirl_mpc_max(core->d.violation - rounding, 0);
+  const real gradient = kpirl_mpc_norm_inf(core->d.gradient, n_w);
+  const real cost_gradient = kpirl_mpc_norm_inf(core->d.cost_gradient, n_w);
   real left;
-  core->most_violation = kpirl_mpc_larger(kpirl_mpc_larger(violation, SMALL), core->most_violation);
-  core->most_gradient = kpirl_mpc_larger(kpirl_mpc_larger(gradient, cost_gradient), core->most_gradient);
+  core->most_violation = kpirl_mpc_max(kpirl_mpc_max(violation, SMALL), core->most_violation);
+  core->most_gradient = kpirl_mpc_max(kpirl_mpc_max(gradient, cost_gradient), core->most_gradient);
   if (core->options.barrier > 0) return least;
   left = violation / core->most_violation;
-  if (core->most_gradient > 0) left = kpirl_mpc_larger(gradient / core->most_gradient, left);
-  return kpirl_mpc_larger(least, kpirl_mpc_smaller(KEPT * core->start_tau * left, core->tau));
+  if (core->most_gradient > 0) left = kpirl_mpc_max(gradient / core->most_gradient, left);
+  return kpirl_mpc_max(least, kpirl_mpc_min(KEPT * core->start_tau * left, core->tau));
 }
 
 /* Move along a Newton step, regularised until the filter accepts it, from the first where the Hessian is known to be `indefinite`.

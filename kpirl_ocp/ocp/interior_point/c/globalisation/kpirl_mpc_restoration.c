@@ -16,11 +16,11 @@ static const real LOWERED = (real)0.1, LAST_TAU = (real)1e-4; /* factor of tau, 
 static real violation(const kpirl_mpc_core *core) {
   const kpirl_mpc_derivatives *d = &core->d;
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core), n_s = DIM(core, n_states);
-  real most = kpirl_mpc_largest(d->defects, DIM(core, horizon) * n_s);
+  real most = kpirl_mpc_norm_inf(d->defects, DIM(core, horizon) * n_s);
   int i;
-  most = kpirl_mpc_larger(kpirl_mpc_largest(d->gap, n_s), most);
-  for (i = 0; i < m; ++i) most = kpirl_mpc_larger(d->g[i] / core->row_sizes[i], most);
-  for (i = 0; i < n_c; ++i) most = kpirl_mpc_larger(kpirl_mpc_abs(d->c[i]) / core->row_sizes[m + i], most);
+  most = kpirl_mpc_max(kpirl_mpc_norm_inf(d->gap, n_s), most);
+  for (i = 0; i < m; ++i) most = kpirl_mpc_max(d->g[i] / core->row_sizes[i], most);
+  for (i = 0; i < n_c; ++i) most = kpirl_mpc_max(kpirl_mpc_abs(d->c[i]) / core->row_sizes[m + i], most);
   return most;
 }
 
@@ -41,7 +41,7 @@ static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real enough) {
       begin_barrier_problem(core, LOWERED * core->tau);
       continue;
     }
-    if (core->iterations >= core->options.max_iterations || kpirl_mpc_core_late(core)) return KPIRL_MPC_NOT_RESTORED;
+    if (core->iterations >= core->options.max_iterations || kpirl_mpc_core_out_of_time(core)) return KPIRL_MPC_NOT_RESTORED;
     core->trials = 0;
     if (!kpirl_mpc_newton_iterate(core, 0)) return KPIRL_MPC_NOT_RESTORED;
     kpirl_mpc_log_iteration(core);
@@ -51,13 +51,13 @@ static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real enough) {
 
 static kpirl_mpc_restoration restore_with(kpirl_mpc_core *core, real penalty, real enough) {
   core->penalty = penalty;
-  begin_barrier_problem(core, kpirl_mpc_larger(core->start_tau, penalty * violation(core)));
+  begin_barrier_problem(core, kpirl_mpc_max(core->start_tau, penalty * violation(core)));
   return descend(core, enough);
 }
 
 /* With a first and a last penalty for these sizes of rows, from where the iterate is. */
 static kpirl_mpc_restoration restore_scaled(kpirl_mpc_core *core) {
-  const real gradient = kpirl_mpc_largest(core->d.cost_gradient, kpirl_mpc_n_point(core)), enough = LEFT * violation(core);
+  const real gradient = kpirl_mpc_norm_inf(core->d.cost_gradient, kpirl_mpc_n_point(core)), enough = LEFT * violation(core);
   const real scale = gradient > 0 ? gradient : 1;
   kpirl_mpc_restoration result;
   core->regularisation = 0;

@@ -15,13 +15,13 @@ static const real NOTHING = (real)1e-3;   /* what a Newton step leaves of a slac
 /* Of a bounded entry of x; that of a value of h is not known. */
 static real rounding(const kpirl_mpc_core *core, int row) {
   if (row >= kpirl_mpc_n_bounds(core)) return 0;
-  return 4 * KPIRL_MPC_EPSILON * kpirl_mpc_abs(core->at.x[row < core->n_lower ? core->lower[row] : core->upper[row - core->n_lower]]);
+  return 4 * KPIRL_MPC_EPSILON * kpirl_mpc_abs(core->at.x[kpirl_mpc_bounded_entry(core, row)]);
 }
 
 /* Would the whole Newton step leave nothing, up to rounding, of a slack below the tolerance? One that decisions move stays near tau / z. */
 static int is_used_up(const kpirl_mpc_core *core, int row) {
   const real y = core->trial.y[row], z = core->trial.z[row]; /* before the step */
-  const real left = kpirl_mpc_larger(kpirl_mpc_abs(y + core->step.change.y[row]) - rounding(core, row), 0);
+  const real left = kpirl_mpc_max(kpirl_mpc_abs(y + core->step.change.y[row]) - rounding(core, row), 0);
   return core->at.y[row] < (real)core->options.tolerance && left <= NOTHING * y && left * z <= NOTHING * core->step.tau;
 }
 
@@ -29,12 +29,12 @@ static int is_used_up(const kpirl_mpc_core *core, int row) {
 static real trial_slack(const kpirl_mpc_core *core, int row, real length, real g) {
   const real before = core->d.g[row], y = core->at.y[row], dy = core->step.change.y[row], room = kpirl_mpc_room(core, before, y);
   if (room > 0 && kpirl_mpc_abs(dy) <= STILL * y) return y;
-  if (row >= kpirl_mpc_n_bounds(core)) return kpirl_mpc_larger(y + length * dy, -g);
+  if (row >= kpirl_mpc_n_bounds(core)) return kpirl_mpc_max(y + length * dy, -g);
   return (1 - length) * (before + y - room) + room - g;
 }
 
 /* Lifted: x + length dx, as in multiple shooting, with the defects that the dynamics leave there. Else along the dynamics. */
-void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit) {
+void kpirl_mpc_trial_point(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit) {
   const kpirl_mpc_derivatives *d = &core->d;
   const kpirl_mpc_iterate *at = &core->at, *change = &core->step.change;
   kpirl_mpc_iterate *trial = &core->trial;
@@ -47,15 +47,15 @@ void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_meri
   if (lifted) {
     for (i = 0; i < n_w; ++i) trial->x[i] = at->x[i] + length * change->x[i];
     kpirl_mpc_evaluate_values(core, trial->x, &objective, trial->costates, path, equality);
-    theta = kpirl_mpc_absolute_sum(trial->costates, T * n_s);
+    theta = kpirl_mpc_norm_1(trial->costates, T * n_s);
   } else {
-    kpirl_mpc_follow(core, length, &objective, path, equality);
-    theta = (1 - length) * kpirl_mpc_absolute_sum(d->defects, T * n_s);
+    kpirl_mpc_feedback_rollout(core, length, &objective, path, equality);
+    theta = (1 - length) * kpirl_mpc_norm_1(d->defects, T * n_s);
   }
   kpirl_mpc_gap(core, trial->x, core->start);
-  theta += kpirl_mpc_absolute_sum(core->start, n_s);
+  theta += kpirl_mpc_norm_1(core->start, n_s);
   kpirl_mpc_equalities(core, trial->x, equality, trial->nu);
-  if (core->penalty <= 0) theta += kpirl_mpc_absolute_sum(trial->nu, n_c);
+  if (core->penalty <= 0) theta += kpirl_mpc_norm_1(trial->nu, n_c);
   kpirl_mpc_inequalities(core, trial->x, path, g);
   penalty = core->penalty > 0 ? kpirl_mpc_penalty(core, g, trial->nu) : 0;
   for (i = 0; i < m; ++i) {
@@ -64,7 +64,7 @@ void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_meri
       continue;
     }
     trial->y[i] = trial_slack(core, i, length, g[i]);
-    theta += kpirl_mpc_abs(g[i] + trial->y[i] - kpirl_mpc_room(core, g[i], trial->y[i]));
+    theta += kpirl_mpc_abs(kpirl_mpc_slack_residual(core, g[i], trial->y[i]));
     outside |= trial->y[i] < least * at->y[i];
   }
   if (core->failed) theta = (real)NAN; /* outside the domain of a function: no place to go */
@@ -83,8 +83,8 @@ real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length) {
   const real share = core->step.share;
   real most = share;
   int i;
-  for (i = 0; i < m; ++i) most = kpirl_mpc_larger((before[i] - after[i]) / before[i], most);
-  return length * (most > share ? kpirl_mpc_smaller(kpirl_mpc_larger(share / most, (real)0.5), (real)0.95) : (real)0.5);
+  for (i = 0; i < m; ++i) most = kpirl_mpc_max((before[i] - after[i]) / before[i], most);
+  return length * (most > share ? kpirl_mpc_min(kpirl_mpc_max(share / most, (real)0.5), (real)0.95) : (real)0.5);
 }
 
 /* Of the logarithms of slacks of constraints that are not elastic. */
@@ -108,9 +108,9 @@ void kpirl_mpc_centre(kpirl_mpc_core *core) {
   for (i = 0; i < m; ++i) {
     const real g = core->d.g[i];
     real centred;
-    at->y[i] = isnan(g) ? g : kpirl_mpc_larger(at->y[i], -g);
+    at->y[i] = isnan(g) ? g : kpirl_mpc_max(at->y[i], -g);
     if (i >= bounds && at->z[i] > 0)
-      at->y[i] = kpirl_mpc_larger(at->y[i], kpirl_mpc_smaller(CENTRAL * core->tau / at->z[i], tolerated));
+      at->y[i] = kpirl_mpc_max(at->y[i], kpirl_mpc_min(CENTRAL * core->tau / at->z[i], tolerated));
     if (is_used_up(core, i)) at->y[i] = (real)core->options.tolerance;
     centred = core->tau / at->y[i];
     if (at->z[i] < centred / CENTRE) at->z[i] = centred / CENTRE;

@@ -19,7 +19,7 @@ static real warm_barrier(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
   kpirl_mpc_find_residuals(core, 0, &residuals);
   error = kpirl_mpc_worst(&residuals);
-  return isfinite(error) ? kpirl_mpc_smaller(kpirl_mpc_larger(error, final), WARM) : WARM;
+  return isfinite(error) ? kpirl_mpc_min(kpirl_mpc_max(error, final), WARM) : WARM;
 }
 
 /* With the multipliers of the start. */
@@ -64,7 +64,7 @@ static int given_up(const kpirl_mpc_core *core, kpirl_mpc_status status) {
 
 int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core) {
   return core->lifted && !core->options.steps && core->penalty <= 0 &&
-         kpirl_mpc_absolute_sum(core->d.defects, DIM(core, horizon) * DIM(core, n_states)) > core->filter.small;
+         kpirl_mpc_norm_1(core->d.defects, DIM(core, horizon) * DIM(core, n_states)) > core->filter.small;
 }
 
 /* With feasibility restoration where the method gets stuck. A point off the dynamics would show nothing of others. */
@@ -75,9 +75,9 @@ static kpirl_mpc_status converge_restoring(kpirl_mpc_core *core) {
     const kpirl_mpc_restoration restoration = kpirl_mpc_restore(core);
     if (restoration == KPIRL_MPC_SHOWN_INFEASIBLE) return KPIRL_MPC_INFEASIBLE;
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
-    if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
+    if (kpirl_mpc_core_out_of_time(core)) return KPIRL_MPC_TIME_LIMIT;
     if (restoration == KPIRL_MPC_NOT_RESTORED) return status;
-    kpirl_mpc_begin_here(core, kpirl_mpc_smaller(core->tau, kpirl_mpc_start_tau(core)));
+    kpirl_mpc_begin_here(core, kpirl_mpc_min(core->tau, kpirl_mpc_start_tau(core)));
     status = kpirl_mpc_converge(core);
   }
   return status;

@@ -50,8 +50,8 @@ static void predict(kpirl_mpc_core *core, real least) {
   length = to_the_boundary(core, first);
   mu = complementarity_after(core, first, none);
   share = complementarity_after(core, first, length) / mu;
-  core->step.tau = core->options.barrier > 0 ? least : kpirl_mpc_larger(least, mu * share * share * share);
-  believed = kpirl_mpc_smaller(length.primal, length.dual) > CORRECTED;
+  core->step.tau = core->options.barrier > 0 ? least : kpirl_mpc_max(least, mu * share * share * share);
+  believed = kpirl_mpc_min(length.primal, length.dual) > CORRECTED;
   for (i = 0; i < m; ++i) core->target[i] = core->step.tau - (believed ? first->y[i] * first->z[i] : 0);
 }
 
@@ -60,25 +60,25 @@ static void recentre(kpirl_mpc_core *core, lengths length) {
   const int m = kpirl_mpc_n_inequalities(core);
   const real tau = core->step.tau;
   int i;
-  length.primal = kpirl_mpc_smaller(1, length.primal + LONGER);
-  length.dual = kpirl_mpc_smaller(1, length.dual + LONGER);
+  length.primal = kpirl_mpc_min(1, length.primal + LONGER);
+  length.dual = kpirl_mpc_min(1, length.dual + LONGER);
   for (i = 0; i < m; ++i) {
     const real product = product_after(core, &core->step.change, length, i);
-    const real central = kpirl_mpc_larger(NEAR * tau, kpirl_mpc_smaller(product, FAR * tau));
-    core->target[i] += kpirl_mpc_larger(central - product, -FAR * tau);
+    const real central = kpirl_mpc_max(NEAR * tau, kpirl_mpc_min(product, FAR * tau));
+    core->target[i] += kpirl_mpc_max(central - product, -FAR * tau);
   }
 }
 
 static int gains(lengths before, lengths after) {
   const real primal = after.primal - before.primal, dual = after.dual - before.dual;
-  return kpirl_mpc_smaller(primal, dual) >= 0 && kpirl_mpc_larger(primal, dual) >= GAIN;
+  return kpirl_mpc_min(primal, dual) >= 0 && kpirl_mpc_max(primal, dual) >= GAIN;
 }
 
 /* Centrality correctors, for as long as one makes the step longer. */
 static void correct_centrality(kpirl_mpc_core *core) {
   lengths before = to_the_boundary(core, &core->step.change);
   int i;
-  for (i = 0; i < CORRECTORS && kpirl_mpc_smaller(before.primal, before.dual) < 1 - LONGER; ++i) {
+  for (i = 0; i < CORRECTORS && kpirl_mpc_min(before.primal, before.dual) < 1 - LONGER; ++i) {
     const kpirl_mpc_iterate change = core->step.change;
     lengths after;
     recentre(core, before);

@@ -11,7 +11,7 @@ static const real FLAT = (real)1e-8;      /* curvature, relative to the largest,
 
 real kpirl_mpc_largest_curvature(const kpirl_mpc_core *core) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
-  return kpirl_mpc_largest(core->d.H, T * n_x * n_x + n_s * n_s);
+  return kpirl_mpc_norm_inf(core->d.H, T * n_x * n_x + n_s * n_s);
 }
 
 /* A direction along which the Hessian of the last factors is negative, from the most negative pivot: the step becomes
@@ -36,17 +36,13 @@ static int find_negative_curvature(kpirl_mpc_core *core) {
   for (t = stage; t < T; ++t) {
     real *x = change->x + t * n_x;
     if (t > stage) {
-      kpirl_mpc_gain(n_s, n_u, factors->W + t * n_u * n_u, factors->Y + t * n_u * n_s, factors->pivots + t * n_u,
-                     core->K + n_u * n_s, core->K);
+      kpirl_mpc_gain(n_s, n_u, factors, t, core->K + n_u * n_s, core->K);
       kpirl_mpc_times_vector(core->K, n_u, n_s, x, x + n_s);
     }
     kpirl_mpc_times_vector(core->d.F + t * n_s * n_x, n_s, n_x, x, x + n_x);
   }
-  for (i = 0; i < core->n_lower; ++i) change->y[i] = change->x[core->lower[i]];
-  for (i = 0; i < core->n_upper; ++i) change->y[core->n_lower + i] = -change->x[core->upper[i]];
-  memset(change->y + kpirl_mpc_n_bounds(core), 0, (size_t)(m - kpirl_mpc_n_bounds(core)) * sizeof(real));
-  kpirl_mpc_path_times(core, core->d.G, DIM(core, n_path), DIM(core, n_terminal), change->x, change->y + kpirl_mpc_n_bounds(core));
-  for (i = kpirl_mpc_n_bounds(core); i < m; ++i) change->y[i] = -change->y[i];
+  kpirl_mpc_inequalities_times(core, change->x, change->y);
+  for (i = 0; i < m; ++i) change->y[i] = -change->y[i];
   return kpirl_mpc_all_finite(change->x, kpirl_mpc_n_point(core));
 }
 
@@ -64,10 +60,10 @@ static int move_off(kpirl_mpc_core *core, real shortest) {
   real length;
   for (length = 1; length >= shortest; length *= SHORTENED) {
     ++core->trials;
-    kpirl_mpc_try(core, length, 0, &trial);
+    kpirl_mpc_trial_point(core, length, 0, &trial);
     if (trial.theta <= core->filter.small && trial.phi < phi - (real)0.1 * length * length) {
       core->step.primal_length = length;
-      kpirl_mpc_arrive(core, KPIRL_MPC_SECOND);
+      kpirl_mpc_accept_trial(core, KPIRL_MPC_SECOND);
       return 1;
     }
   }

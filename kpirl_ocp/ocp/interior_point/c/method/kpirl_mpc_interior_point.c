@@ -30,7 +30,7 @@ static int matrices_finite(const kpirl_mpc_core *core) {
 }
 
 /* Is the time over? */
-int kpirl_mpc_core_late(const kpirl_mpc_core *core) {
+int kpirl_mpc_core_out_of_time(const kpirl_mpc_core *core) {
   const kpirl_mpc_options *options = &core->options;
   return options->now && options->time_limit > 0 && options->now(options->clock) - core->started >= options->time_limit;
 }
@@ -51,7 +51,7 @@ void kpirl_mpc_log_iteration(const kpirl_mpc_core *core) {
   line.dual_infeasibility = residuals.stationarity;
   line.complementarity = residuals.complementarity;
   line.tau = core->tau;
-  line.step = kpirl_mpc_largest(step->change.x, kpirl_mpc_n_point(core));
+  line.step = kpirl_mpc_norm_inf(step->change.x, kpirl_mpc_n_point(core));
   line.regularisation = step->regularisation;
   line.primal_length = step->primal_length;
   line.dual_length = step->dual_length;
@@ -70,9 +70,9 @@ static int to_be_examined(const kpirl_mpc_core *core) { return !core->step.posit
 /* Have multipliers grown without bound, and left the point far from feasible? So they do where linearised constraints contradict
  * each other, also from a few points in turn. Near feasible points of a set without interior they grow as well, and are right. */
 static int multipliers_diverged(const kpirl_mpc_core *core) {
-  const real heaviest = kpirl_mpc_larger(kpirl_mpc_largest(core->at.z, kpirl_mpc_n_inequalities(core)),
-                                         kpirl_mpc_largest(core->at.nu, kpirl_mpc_n_equalities(core)));
-  return heaviest > FAR && heaviest > FAR * kpirl_mpc_largest(core->d.cost_gradient, kpirl_mpc_n_point(core)) &&
+  const real heaviest = kpirl_mpc_max(kpirl_mpc_norm_inf(core->at.z, kpirl_mpc_n_inequalities(core)),
+                                         kpirl_mpc_norm_inf(core->at.nu, kpirl_mpc_n_equalities(core)));
+  return heaviest > FAR && heaviest > FAR * kpirl_mpc_norm_inf(core->d.cost_gradient, kpirl_mpc_n_point(core)) &&
          core->d.violation > core->filter.small;
 }
 
@@ -82,12 +82,12 @@ kpirl_mpc_status kpirl_mpc_converge(kpirl_mpc_core *core) {
     if (kpirl_mpc_solved(core)) {
       const int left = to_be_examined(core) ? kpirl_mpc_escape(core, SHORTEST) : 0;
       if (left <= 0) return left ? KPIRL_MPC_NOT_A_MINIMUM : KPIRL_MPC_CONVERGED;
-      kpirl_mpc_begin_here(core, core->options.barrier > 0 ? core->tau : kpirl_mpc_larger(core->tau, kpirl_mpc_start_tau(core)));
+      kpirl_mpc_begin_here(core, core->options.barrier > 0 ? core->tau : kpirl_mpc_max(core->tau, kpirl_mpc_start_tau(core)));
       continue;
     }
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
-    if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
-    if (kpirl_mpc_largest(core->at.x, kpirl_mpc_n_point(core)) > FAR) return KPIRL_MPC_DIVERGED;
+    if (kpirl_mpc_core_out_of_time(core)) return KPIRL_MPC_TIME_LIMIT;
+    if (kpirl_mpc_norm_inf(core->at.x, kpirl_mpc_n_point(core)) > FAR) return KPIRL_MPC_DIVERGED;
     if (kpirl_mpc_idle(core) && kpirl_mpc_acceptable(core)) return KPIRL_MPC_ACCEPTABLE;
     if (multipliers_diverged(core)) return why_stuck(core);
     if (!kpirl_mpc_iterate_once(core, kpirl_mpc_final_tau(core))) return why_stuck(core);
@@ -104,17 +104,17 @@ kpirl_mpc_status kpirl_mpc_advance(kpirl_mpc_core *core) {
     const kpirl_mpc_iterate *at = &core->at, *change = &core->step.change;
     real length, objective;
     if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
-    if (kpirl_mpc_core_late(core)) return KPIRL_MPC_TIME_LIMIT;
+    if (kpirl_mpc_core_out_of_time(core)) return KPIRL_MPC_TIME_LIMIT;
     if (!kpirl_mpc_find_positive_step(core, 0, 0)) return why_stuck(core);
     length = core->step.primal_length;
     for (i = 0; i < n_w; ++i) core->trial.x[i] = at->x[i] + length * change->x[i];
     for (i = 0; i < n_costates; ++i) core->trial.costates[i] = at->costates[i] + length * change->costates[i];
     for (i = 0; i < m; ++i) core->trial.y[i] = at->y[i] + length * change->y[i];
     for (i = 0; i < n_c; ++i) core->trial.nu[i] = at->nu[i] + length * change->nu[i];
-    if (m > core->n_lower + core->n_upper) /* h, for the slacks */
+    if (m > kpirl_mpc_n_bounds(core)) /* h, for the slacks */
       kpirl_mpc_evaluate_values(core, core->trial.x, &objective, core->d.defects,
-                                core->force + core->n_lower + core->n_upper, core->d.equality);
-    kpirl_mpc_arrive(core, core->iterations == core->options.steps - 1 ? KPIRL_MPC_FIRST : KPIRL_MPC_SECOND);
+                                core->force + kpirl_mpc_n_bounds(core), core->d.equality);
+    kpirl_mpc_accept_trial(core, core->iterations == core->options.steps - 1 ? KPIRL_MPC_FIRST : KPIRL_MPC_SECOND);
     kpirl_mpc_log_iteration(core);
   }
   if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
@@ -129,7 +129,7 @@ kpirl_mpc_status kpirl_mpc_core_solve(kpirl_mpc_core *core, const kpirl_mpc_numb
   kpirl_mpc_set_numbers(core, numbers);
   core->options = *options;
   core->tolerance = tolerance; /* bounds multiplier * slack - tau: it has to be small beside tau */
-  if (barrier > 0) core->tolerance = kpirl_mpc_smaller(tolerance, kpirl_mpc_larger((real)1e-6 * barrier, (real)1e-13));
+  if (barrier > 0) core->tolerance = kpirl_mpc_min(tolerance, kpirl_mpc_max((real)1e-6 * barrier, (real)1e-13));
   core->penalty = 0;
   core->iterations = core->trials = 0;
   core->started = options->now ? options->now(options->clock) : 0;

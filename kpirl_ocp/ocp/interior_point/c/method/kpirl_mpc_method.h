@@ -44,7 +44,11 @@ static inline real kpirl_mpc_room(const kpirl_mpc_core *core, real g, real y) {
   const real tolerance = (real)core->options.tolerance;
   return y >= tolerance / 2 && y <= 2 * tolerance && kpirl_mpc_abs(g) <= y / 2 ? g + y : 0;
 }
-void kpirl_mpc_try(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit);
+/* g + y, but for what remains of it. */
+static inline real kpirl_mpc_slack_residual(const kpirl_mpc_core *core, real g, real y) {
+  return g + y - kpirl_mpc_room(core, g, y);
+}
+void kpirl_mpc_trial_point(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit);
 real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length);
 void kpirl_mpc_centre(kpirl_mpc_core *core);
 real kpirl_mpc_hard_log_sum(const kpirl_mpc_core *core, const real *y);
@@ -72,7 +76,7 @@ real kpirl_mpc_slope(const kpirl_mpc_core *core);
 int kpirl_mpc_newton_iterate(kpirl_mpc_core *core, int indefinite);
 int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least);
 /* Go to the trial point; `level` says how much to find out about it. */
-void kpirl_mpc_arrive(kpirl_mpc_core *core, int level);
+void kpirl_mpc_accept_trial(kpirl_mpc_core *core, int level);
 
 /* elastic: is an inequality replaced by its penalty? The penalty at values of g and c; slacks and multipliers at an iterate;
  * what the step does to it; the end of it. */
@@ -81,7 +85,7 @@ int kpirl_mpc_has_elastic(const kpirl_mpc_core *core); /* is there one that coul
 void kpirl_mpc_measure_rows(kpirl_mpc_core *core); /* before elastic mode begins */
 real kpirl_mpc_penalty(const kpirl_mpc_core *core, const real *g, const real *c);
 void kpirl_mpc_relax(kpirl_mpc_core *core);
-void kpirl_mpc_let_go(kpirl_mpc_core *core);
+void kpirl_mpc_elastic_step(kpirl_mpc_core *core);
 void kpirl_mpc_harden(kpirl_mpc_core *core);
 
 /* restoration: is most of the violation gone, so that the method proper can go on from these slacks? Shown infeasible: stationary
@@ -97,11 +101,11 @@ kpirl_mpc_status kpirl_mpc_attempt(kpirl_mpc_core *core, const kpirl_mpc_start *
 kpirl_mpc_status kpirl_mpc_converge(kpirl_mpc_core *core);
 kpirl_mpc_status kpirl_mpc_advance(kpirl_mpc_core *core);
 real kpirl_mpc_start_tau(const kpirl_mpc_core *core);
-int kpirl_mpc_core_late(const kpirl_mpc_core *core);
+int kpirl_mpc_core_out_of_time(const kpirl_mpc_core *core);
 void kpirl_mpc_log_iteration(const kpirl_mpc_core *core);
 
 /* filter */
 void kpirl_mpc_start_filter(kpirl_mpc_core *core);
-int kpirl_mpc_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, kpirl_mpc_merit trial);
+int kpirl_mpc_filter_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, kpirl_mpc_merit trial);
 
 #endif

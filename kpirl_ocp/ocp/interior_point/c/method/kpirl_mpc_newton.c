@@ -6,10 +6,10 @@
  *
  * y, z and nu are eliminated, which leaves the linear-quadratic problem of kpirl_mpc_recursion.h with
  *
- *     H + G' (z/y) G + E' E / delta + rho R,    gradient + G' (tau/y + z/y (g + y)) + E' (nu + c / delta).
+ *     H + G' (z/y) G + E' E / delta + rho I,    gradient + G' (tau/y + z/y (g + y)) + E' (nu + c / delta).
  *
- * R is the identity: enough of it makes the reduced Hessian positive. Equalities
- * are those of the proximal method of multipliers: exact where the method converges, and never singular.
+ * Enough of rho makes the reduced Hessian positive. Equalities are those of the proximal method of multipliers (Rockafellar,
+ * 1976): exact where the method converges, and never singular.
  */
 #include "kpirl_mpc_method.h"
 
@@ -72,13 +72,12 @@ int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
   return all_positive(factors->free_pivots, n_free);
 }
 
-/* right: a gradient, of forces of inequalities and of multipliers of equalities. */
-static void gather(kpirl_mpc_core *core, const real *forces, const real *fixing) {
-  const kpirl_mpc_derivatives *d = &core->d;
-  memcpy(core->right, d->slope, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
-  kpirl_mpc_push_bounds(core, forces, fixing, core->right);
-  kpirl_mpc_path_push(core, d->G, DIM(core, n_path), DIM(core, n_terminal), forces + kpirl_mpc_n_bounds(core), core->right);
-  kpirl_mpc_path_push(core, d->E, DIM(core, n_equality), DIM(core, n_terminal_equality), fixing + core->n_fixed, core->right);
+/* right = the gradient of the Lagrangian with these multipliers of inequalities and of equalities. */
+static void set_gradient(kpirl_mpc_core *core, const real *z, const real *nu) {
+  memcpy(core->right, core->d.unconstrained_gradient, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
+  kpirl_mpc_bounds_transposed_times(core, z, nu, core->right);
+  kpirl_mpc_path_transposed_times(core, z + kpirl_mpc_n_bounds(core), core->right);
+  kpirl_mpc_equality_transposed_times(core, nu + core->n_fixed, core->right);
 }
 
 /* The change of x and costates where forces of inequalities are core->force. */
@@ -88,34 +87,30 @@ static void solve_stages(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
   real *fixing = change->nu;
   int i;
   for (i = 0; i < n_c; ++i) fixing[i] = core->at.nu[i] + (core->penalty > 0 ? 0 : d->c[i] * core->stiffness[i]);
-  gather(core, core->force, fixing);
+  set_gradient(core, core->force, fixing);
   kpirl_mpc_substitute(DIM(core, horizon), DIM(core, n_states), DIM(core, n_actions), core->bounds.n_free,
                        core->bounds.free_entries, d->F, &core->factors, core->right, d->defects, d->gap, core->scratch,
                        change->x, change->costates);
 }
 
 /* values (n_c) = (values + E x) / delta */
-static void push_equalities(const kpirl_mpc_core *core, const real *x, real *values) {
+static void find_equality_multipliers(const kpirl_mpc_core *core, const real *x, real *values) {
   const int n_c = kpirl_mpc_n_equalities(core), n_fixed = core->n_fixed;
   int i;
   for (i = 0; i < n_fixed; ++i) values[i] += x[core->fixed[i]];
-  kpirl_mpc_path_times(core, core->d.E, DIM(core, n_equality), DIM(core, n_terminal_equality), x, values + n_fixed);
+  kpirl_mpc_equality_times(core, x, values + n_fixed);
   for (i = 0; i < n_c; ++i) values[i] *= core->stiffness[i];
 }
 
 /* The changes of y and z that belong to that of x. */
-static void follow_inequalities(const kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
-  const int m = kpirl_mpc_n_inequalities(core), bounds = kpirl_mpc_n_bounds(core);
-  const kpirl_mpc_derivatives *d = &core->d;
+static void find_inequality_step(const kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
+  const int m = kpirl_mpc_n_inequalities(core);
   const kpirl_mpc_iterate *at = &core->at;
   int i;
-  for (i = 0; i < core->n_lower; ++i) change->z[i] = -change->x[core->lower[i]];
-  for (i = 0; i < core->n_upper; ++i) change->z[core->n_lower + i] = change->x[core->upper[i]];
-  memset(change->z + bounds, 0, (size_t)(m - bounds) * sizeof(real));
-  kpirl_mpc_path_times(core, d->G, DIM(core, n_path), DIM(core, n_terminal), change->x, change->z + bounds); /* dg, so far */
+  kpirl_mpc_inequalities_times(core, change->x, change->z); /* dg, so far */
   for (i = 0; i < m; ++i) {
     const real dg = change->z[i];
-    change->y[i] = -(d->g[i] + at->y[i] - kpirl_mpc_room(core, d->g[i], at->y[i])) - dg;
+    change->y[i] = -kpirl_mpc_slack_residual(core, core->d.g[i], at->y[i]) - dg;
     change->z[i] = core->force[i] + core->weights[i] * dg - at->z[i];
   }
 }
@@ -145,7 +140,7 @@ static void refine(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
   int i;
   for (i = 0; i < m; ++i) forces[i] = core->at.z[i] + change->z[i];
   for (i = 0; i < n_c; ++i) fixing[i] = core->at.nu[i] + 2 * change->nu[i];
-  gather(core, forces, fixing);
+  set_gradient(core, forces, fixing);
   add_curvature(core, change);
   memset(core->start, 0, (size_t)n_s * sizeof(real));
   kpirl_mpc_substitute(T, n_s, DIM(core, n_actions), core->bounds.n_free, core->bounds.free_entries, core->d.F, &core->factors,
@@ -153,7 +148,7 @@ static void refine(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
   kpirl_mpc_axpy(1, core->trial.x, kpirl_mpc_n_point(core), change->x);
   kpirl_mpc_axpy(1, core->trial.costates, T * n_s, change->costates);
   memset(fixing, 0, (size_t)n_c * sizeof(real));
-  push_equalities(core, core->trial.x, fixing);
+  find_equality_multipliers(core, core->trial.x, fixing);
   for (i = 0; i < n_c; ++i) change->nu[i] = 2 * change->nu[i] + fixing[i];
 }
 
@@ -163,17 +158,15 @@ void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
   const real enough = (real)core->options.tolerance / 10;
   const kpirl_mpc_iterate *at = &core->at;
   int i;
-  for (i = 0; i < m; ++i) {
-    const real g = core->d.g[i];
-    core->force[i] = core->target[i] / at->y[i] + core->weights[i] * (g + at->y[i] - kpirl_mpc_room(core, g, at->y[i]));
-  }
+  for (i = 0; i < m; ++i)
+    core->force[i] = core->target[i] / at->y[i] + core->weights[i] * kpirl_mpc_slack_residual(core, core->d.g[i], at->y[i]);
   solve_stages(core, change);
   memcpy(change->nu, core->d.c, (size_t)n_c * sizeof(real));
-  push_equalities(core, change->x, change->nu);
-  follow_inequalities(core, change);
-  if (core->penalty > 0 || !(KPIRL_MPC_PROXIMAL * kpirl_mpc_largest(change->nu, n_c) > enough)) return;
+  find_equality_multipliers(core, change->x, change->nu);
+  find_inequality_step(core, change);
+  if (core->penalty > 0 || !(KPIRL_MPC_PROXIMAL * kpirl_mpc_norm_inf(change->nu, n_c) > enough)) return;
   refine(core, change);
-  follow_inequalities(core, change);
+  find_inequality_step(core, change);
 }
 
 /* The longest step in (0, 1] that keeps value + length * change at least (1 - share) value; value > 0. */
@@ -184,7 +177,7 @@ real kpirl_mpc_longest(const real *value, const real *change, int count, real sh
     const real ratio = -change[i] / value[i];
     most = ratio > most ? ratio : most;
   }
-  return kpirl_mpc_smaller(1, share / most);
+  return kpirl_mpc_min(1, share / most);
 }
 
 /* ---- steps -------------------------------------------------------------------------------------------------- */
@@ -192,8 +185,8 @@ real kpirl_mpc_longest(const real *value, const real *change, int count, real sh
 /* The fraction to the boundary comes closer to one as tau falls, as far as rounding lets what is left stay positive; where tau
  * is fixed, as in real-time iterations, there is no reason to come close. */
 static real fraction_to_boundary(const kpirl_mpc_core *core) {
-  const real left = kpirl_mpc_larger(core->step.tau / core->d.scale, ROUNDING);
-  return core->options.steps > 0 ? KPIRL_MPC_BOUNDARY : kpirl_mpc_larger(KPIRL_MPC_BOUNDARY, 1 - left);
+  const real left = kpirl_mpc_max(core->step.tau / core->d.scale, ROUNDING);
+  return core->options.steps > 0 ? KPIRL_MPC_BOUNDARY : kpirl_mpc_max(KPIRL_MPC_BOUNDARY, 1 - left);
 }
 
 void kpirl_mpc_limit_lengths(kpirl_mpc_core *core) {
@@ -214,6 +207,6 @@ void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation) {
   core->step.regularisation = regularisation;
   for (i = 0; i < m; ++i) core->target[i] = kpirl_mpc_is_elastic(core, i) ? -core->at.z[i] * core->d.g[i] : core->tau;
   kpirl_mpc_step_to_target(core, &core->step.change);
-  if (core->penalty > 0) kpirl_mpc_let_go(core);
+  if (core->penalty > 0) kpirl_mpc_elastic_step(core);
   kpirl_mpc_limit_lengths(core);
 }

@@ -14,12 +14,12 @@ static const real FIRST_FACTOR = 100, FACTOR = 8, FALL = 3; /* by which it grows
 /* The largest entry of the Hessian, if that is less than 1: in other units of the cost the weights are others. */
 real kpirl_mpc_unit_weight(const kpirl_mpc_core *core) {
   const real largest = kpirl_mpc_largest_curvature(core);
-  return largest > 0 ? kpirl_mpc_smaller(1, largest) : 1;
+  return largest > 0 ? kpirl_mpc_min(1, largest) : 1;
 }
 
 /* A weight for steps that are too long with the last one. */
 real kpirl_mpc_stronger(const kpirl_mpc_core *core) {
-  return kpirl_mpc_larger(FIRST_FACTOR * core->step.regularisation, kpirl_mpc_unit_weight(core) * FIRST);
+  return kpirl_mpc_max(FIRST_FACTOR * core->step.regularisation, kpirl_mpc_unit_weight(core) * FIRST);
 }
 
 /* The Newton step with this regularisation, or, where the Hessian is known to be `indefinite` with it or turns out to be, with as
@@ -33,7 +33,7 @@ int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation, int 
     if (rho > 0)
       rho *= last > 0 ? FACTOR : FIRST_FACTOR;
     else
-      rho = last > 0 ? kpirl_mpc_larger(last / FALL, kpirl_mpc_unit_weight(core) * SMALLEST) : kpirl_mpc_unit_weight(core) * FIRST;
+      rho = last > 0 ? kpirl_mpc_max(last / FALL, kpirl_mpc_unit_weight(core) * SMALLEST) : kpirl_mpc_unit_weight(core) * FIRST;
     if (!(rho < strongest)) return 0;
     kpirl_mpc_newton_step(core, rho);
     indefinite = 0;

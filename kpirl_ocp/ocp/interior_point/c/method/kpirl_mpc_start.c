@@ -7,7 +7,7 @@
 #include <string.h>
 
 static const real LARGEST = (real)1e3; /* costates, relative to the gradient */
-static const real START = (real)0.1;   /* tau of a cold start, see start_tau */
+static const real START = (real)0.1;   /* tau of a cold start, see kpirl_mpc_start_tau */
 static const int DOUBLED = 9;          /* how often multipliers of bounds of a cold start are, until the Hessian is positive */
 static const real USELESS = (real)0.01; /* length of a first step with light multipliers */
 static const real PUSH = (real)0.4; /* how far a cold start is moved inside its bounds, relative to size and distance */
@@ -19,9 +19,9 @@ static void move_inside(const kpirl_mpc_core *core, real *x) {
   for (side = 0; side < 2; ++side)
     for (i = 0; i < (side ? core->n_upper : core->n_lower); ++i) {
       const int entry = side ? core->upper[i] : core->lower[i];
-      const real size = kpirl_mpc_larger(1, kpirl_mpc_abs(side ? upper[entry] : lower[entry]));
-      const real margin = PUSH * kpirl_mpc_smaller(size, upper[entry] - lower[entry]);
-      x[entry] = side ? kpirl_mpc_smaller(x[entry], upper[entry] - margin) : kpirl_mpc_larger(x[entry], lower[entry] + margin);
+      const real size = kpirl_mpc_max(1, kpirl_mpc_abs(side ? upper[entry] : lower[entry]));
+      const real margin = PUSH * kpirl_mpc_min(size, upper[entry] - lower[entry]);
+      x[entry] = side ? kpirl_mpc_min(x[entry], upper[entry] - margin) : kpirl_mpc_max(x[entry], lower[entry] + margin);
     }
   for (i = 0; i < core->n_fixed; ++i) x[core->fixed[i]] = lower[core->fixed[i]];
 }
@@ -39,14 +39,14 @@ static real size_of_row(const kpirl_mpc_core *core, int entry) {
   real size = 0;
   int i;
   for (i = entry < all ? entry % n_h : entry; i < (entry < all ? all : entry + 1); i += stride)
-    size = kpirl_mpc_larger(kpirl_mpc_abs(core->d.path[i]), size);
+    size = kpirl_mpc_max(kpirl_mpc_abs(core->d.path[i]), size);
   return size > 0 ? size : 1;
 }
 
 void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x) {
   kpirl_mpc_iterate *at = &core->at;
   const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
-  const int bounds = core->n_lower + core->n_upper;
+  const int bounds = kpirl_mpc_n_bounds(core);
   int i;
   if (x) {
     memmove(at->x, x, (size_t)n_w * sizeof(real));
@@ -61,7 +61,7 @@ void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x) {
   memset(at->z, 0, (size_t)m * sizeof(real));
   evaluate_inequalities(core);
   for (i = 0; i < bounds; ++i) at->y[i] = -core->d.g[i];
-  for (i = 0; i < m - bounds; ++i) at->y[bounds + i] = kpirl_mpc_larger(-core->d.path[i], PUSH * size_of_row(core, i));
+  for (i = 0; i < m - bounds; ++i) at->y[bounds + i] = kpirl_mpc_max(-core->d.path[i], PUSH * size_of_row(core, i));
 }
 
 /* Costates for which the Lagrangian is stationary by s_1 .. s_T, by the adjoint recursion from those of zero; unless they would
@@ -76,34 +76,34 @@ void kpirl_mpc_estimate_costates(kpirl_mpc_core *core) {
     memcpy(costate, gradient + t * n_x, (size_t)n_s * sizeof(real));
     if (t < T) kpirl_mpc_transposed_times_vector(core->d.F + t * n_s * n_x, n_s, n_s, costate + n_s, costate);
   }
-  if (!(kpirl_mpc_largest(costates, T * n_s) <= LARGEST * kpirl_mpc_largest(gradient, kpirl_mpc_n_point(core))))
+  if (!(kpirl_mpc_norm_inf(costates, T * n_s) <= LARGEST * kpirl_mpc_norm_inf(gradient, kpirl_mpc_n_point(core))))
     memset(costates, 0, (size_t)(T * n_s) * sizeof(real));
 }
 
 void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, real tau) {
   kpirl_mpc_iterate *at = &core->at;
-  const int T = DIM(core, horizon), m = kpirl_mpc_n_inequalities(core), bounds = core->n_lower + core->n_upper;
+  const int T = DIM(core, horizon), m = kpirl_mpc_n_inequalities(core), bounds = kpirl_mpc_n_bounds(core);
   int i;
   memmove(at->x, start->x, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
   memmove(at->costates, start->costates, (size_t)(T * DIM(core, n_states)) * sizeof(real));
   for (i = 0; i < core->n_fixed; ++i) at->nu[i] = start->bounds[core->fixed[i]];
   memmove(at->nu + core->n_fixed, start->equality, (size_t)(kpirl_mpc_n_equalities(core) - core->n_fixed) * sizeof(real));
-  for (i = 0; i < core->n_lower; ++i) at->z[i] = kpirl_mpc_larger(-start->bounds[core->lower[i]], 0);
-  for (i = 0; i < core->n_upper; ++i) at->z[core->n_lower + i] = kpirl_mpc_larger(start->bounds[core->upper[i]], 0);
-  for (i = bounds; i < m; ++i) at->z[i] = kpirl_mpc_larger(start->path[i - bounds], 0);
+  for (i = 0; i < core->n_lower; ++i) at->z[i] = kpirl_mpc_max(-start->bounds[core->lower[i]], 0);
+  for (i = 0; i < core->n_upper; ++i) at->z[core->n_lower + i] = kpirl_mpc_max(start->bounds[core->upper[i]], 0);
+  for (i = bounds; i < m; ++i) at->z[i] = kpirl_mpc_max(start->path[i - bounds], 0);
   evaluate_inequalities(core);
   for (i = 0; i < m; ++i) {
-    const real g = core->d.g[i], root = kpirl_mpc_root(tau);
-    const real least = at->z[i] > 0 ? kpirl_mpc_smaller(tau / at->z[i], root) : root;
-    at->y[i] = isnan(g) ? g : kpirl_mpc_larger(-g, least);
-    at->z[i] = kpirl_mpc_larger(at->z[i], tau / at->y[i]);
+    const real g = core->d.g[i], root = kpirl_mpc_sqrt(tau);
+    const real least = at->z[i] > 0 ? kpirl_mpc_min(tau / at->z[i], root) : root;
+    at->y[i] = isnan(g) ? g : kpirl_mpc_max(-g, least);
+    at->z[i] = kpirl_mpc_max(at->z[i], tau / at->y[i]);
   }
 }
 
 /* Where the barrier weighs as a share of the objective: its gradient times the harmonic mean of the slacks. */
 real kpirl_mpc_start_tau(const kpirl_mpc_core *core) {
   const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
-  const real gradient = kpirl_mpc_largest(core->d.cost_gradient + n_s, n_w - n_s);
+  const real gradient = kpirl_mpc_norm_inf(core->d.cost_gradient + n_s, n_w - n_s);
   real inverse = 0;
   int i;
   for (i = 0; i < m; ++i) inverse += 1 / core->at.y[i];
@@ -129,13 +129,8 @@ static void begin_with(kpirl_mpc_core *core, real tau) {
 void kpirl_mpc_begin_here(kpirl_mpc_core *core, real tau) {
   const int m = kpirl_mpc_n_inequalities(core);
   int i;
-  for (i = 0; i < m; ++i) core->at.z[i] = kpirl_mpc_larger(core->at.z[i], tau / core->at.y[i]);
+  for (i = 0; i < m; ++i) core->at.z[i] = kpirl_mpc_max(core->at.z[i], tau / core->at.y[i]);
   begin_with(core, tau);
-}
-
-/* Which entry of x the i-th bound is of. */
-static int bounded_entry(const kpirl_mpc_core *core, int i) {
-  return i < core->n_lower ? core->lower[i] : core->upper[i - core->n_lower];
 }
 
 /* A bound's multiplier times the average slack of its variable is the same for all bounds, in units of the objective: the average
@@ -147,14 +142,14 @@ static void guess_light_multipliers(kpirl_mpc_core *core) {
   int i;
   memset(slack, 0, (size_t)(2 * n_x) * sizeof(real));
   for (i = 0; i < bounds; ++i) {
-    slack[bounded_entry(core, i) % n_x] += core->at.y[i];
-    count[bounded_entry(core, i) % n_x] += 1;
+    slack[kpirl_mpc_bounded_entry(core, i) % n_x] += core->at.y[i];
+    count[kpirl_mpc_bounded_entry(core, i) % n_x] += 1;
   }
   for (i = 0; i < n_x; ++i)
     if (count[i] > 0) slack[i] /= count[i];
   for (i = n_s; i < n_w; ++i)
     work += kpirl_mpc_abs(core->d.cost_gradient[i] * (count[i % n_x] > 0 ? slack[i % n_x] : core->at.x[i]));
-  for (i = 0; i < bounds; ++i) core->at.z[i] = work / ((real)(n_w - n_s) * slack[bounded_entry(core, i) % n_x]);
+  for (i = 0; i < bounds; ++i) core->at.z[i] = work / ((real)(n_w - n_s) * slack[kpirl_mpc_bounded_entry(core, i) % n_x]);
 }
 
 /* Can a first step towards tau = 0 be taken, but for a useless part of it? Else multipliers leave a linear cost without curvature. */
@@ -187,5 +182,5 @@ void kpirl_mpc_begin_lightly(kpirl_mpc_core *core, real tau) {
   begin_with(core, tau);
   core->factored = bounds > 0 && find_light_multipliers(core);
   for (i = 0; !core->factored && i < bounds; ++i) z[i] = tau / core->at.y[i];
-  kpirl_mpc_push_bounds(core, z, core->at.nu, core->d.gradient);
+  kpirl_mpc_bounds_transposed_times(core, z, core->at.nu, core->d.gradient);
 }

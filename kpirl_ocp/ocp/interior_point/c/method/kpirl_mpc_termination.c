@@ -10,12 +10,12 @@ static const int IDLE = 5; /* iterations without a smaller residual after which 
 
 /* The largest multiplier times what its slack is a difference of: an entry of x and a bound; of h, taken as 1. */
 static real largest_product(const kpirl_mpc_core *core) {
-  const int m = kpirl_mpc_n_inequalities(core), low = core->n_lower, bounds = kpirl_mpc_n_bounds(core);
-  real most = kpirl_mpc_largest(core->at.z + bounds, m - bounds);
+  const int m = kpirl_mpc_n_inequalities(core), bounds = kpirl_mpc_n_bounds(core);
+  real most = kpirl_mpc_norm_inf(core->at.z + bounds, m - bounds);
   int i;
   for (i = 0; i < bounds; ++i) {
-    const real x = core->at.x[i < low ? core->lower[i] : core->upper[i - low]];
-    most = kpirl_mpc_larger(kpirl_mpc_abs(x) * core->at.z[i], most);
+    const real x = core->at.x[kpirl_mpc_bounded_entry(core, i)];
+    most = kpirl_mpc_max(kpirl_mpc_abs(x) * core->at.z[i], most);
   }
   return most;
 }
@@ -23,7 +23,7 @@ static real largest_product(const kpirl_mpc_core *core) {
 /* What complementarity may be off: a fifth of the tolerance in units of the cost, unless rounding leaves more. The sum of all
  * y z is the duality gap of a convex problem. */
 static real close_enough(const kpirl_mpc_core *core) {
-  return kpirl_mpc_larger((real)core->options.tolerance / 5, ROUNDING * largest_product(core));
+  return kpirl_mpc_max((real)core->options.tolerance / 5, ROUNDING * largest_product(core));
 }
 
 /* The tau to stop at. */
@@ -41,14 +41,14 @@ static void relative(const kpirl_mpc_residuals *r, real *parts) {
 real kpirl_mpc_worst(const kpirl_mpc_residuals *r) {
   real parts[3];
   relative(r, parts);
-  return kpirl_mpc_largest(parts, 3);
+  return kpirl_mpc_norm_inf(parts, 3);
 }
 
 /* The residuals to stop at. Multipliers that grow without bound, where constraints have no interior, are no scale for the gradient. */
 static void find_residuals(const kpirl_mpc_core *core, kpirl_mpc_residuals *residuals) {
-  const real gradient = kpirl_mpc_largest(core->d.cost_gradient, kpirl_mpc_n_point(core));
+  const real gradient = kpirl_mpc_norm_inf(core->d.cost_gradient, kpirl_mpc_n_point(core));
   kpirl_mpc_find_residuals(core, (real)core->options.barrier, residuals);
-  residuals->scale = kpirl_mpc_smaller(residuals->scale, kpirl_mpc_larger(1, HEAVIEST * gradient));
+  residuals->scale = kpirl_mpc_min(residuals->scale, kpirl_mpc_max(1, HEAVIEST * gradient));
 }
 
 /* Do the conditions hold? Complementarity relative to the scale alone would leave the weakest of the active constraints too far
@@ -61,10 +61,10 @@ int kpirl_mpc_solved(const kpirl_mpc_core *core) {
 
 /* Do the conditions hold as far as rounding lets them? Where all of x is small, a violation has to be small beside it, too. */
 int kpirl_mpc_acceptable(const kpirl_mpc_core *core) {
-  const real enough = kpirl_mpc_root(core->tolerance) / 10, size = kpirl_mpc_largest(core->at.x, kpirl_mpc_n_point(core));
+  const real enough = kpirl_mpc_sqrt(core->tolerance) / 10, size = kpirl_mpc_norm_inf(core->at.x, kpirl_mpc_n_point(core));
   kpirl_mpc_residuals residuals;
   find_residuals(core, &residuals);
-  return kpirl_mpc_worst(&residuals) <= enough && residuals.feasibility <= kpirl_mpc_larger(core->tolerance, enough * size);
+  return kpirl_mpc_worst(&residuals) <= enough && residuals.feasibility <= kpirl_mpc_max(core->tolerance, enough * size);
 }
 
 /* Have all residuals stayed as they are for some iterations? A start that follows the dynamics has the best feasibility of all;
