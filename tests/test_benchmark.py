@@ -195,6 +195,13 @@ def test_a_bar_is_met_up_to_its_limit(measured, verdict, bench):
     assert bench("bars").Bar("claim", 0.5, measured).verdict == verdict
 
 
+def test_missed_bars_come_first_and_met_ones_are_counted(bench):
+    bars = bench("bars")
+    table = bars.table([bars.Bar(name, 0.5, measured) for name, measured in (("a", 0.5), ("b", 0.6), ("c", None))])
+    assert [row[0] for row in table.rows] == ["b", "a", "c"]
+    assert "1 of 3 are met." in str(table)
+
+
 def times(median, minimum=None):
     return {"median_ms": median, "minimum_ms": minimum or median, "processor_ms": median}
 
