@@ -1,18 +1,80 @@
-"""Functions of the C code on KKT systems that the package calls only from C: products, Newton steps, changes nearby."""
+"""Functions of the C code on KKT systems that the package calls only from C: linearisations, products, Newton steps."""
 
 import ctypes
 
 import numpy as np
 
+from kpirl_ocp.ocp.conditions import parameter_derivatives
 from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
-from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, Triple
+from kpirl_ocp.ocp.problem.solver import StageDerivatives
+from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
+from kpirl_ocp.ocp.sensitivity.kkt_system import KKTSystem, PrimalDual, Triple
 
 
 def _declared(name, count, result=None):
     function = getattr(c.library(), f"kpirl_mpc_{name}")
     function.argtypes, function.restype = [ctypes.c_void_p] * count, result
     return function
+
+
+def linearise(instance, point, active=None):
+    """The KKT system at a point for an active set, by default the one that multipliers and slacks there suggest."""
+    system = KKTSystem(instance)
+    system.set_point(point)
+    with borrow_core(instance.problem) as core:
+        _declared("kkt_evaluate", 2)(system.address, core.address)
+    chosen = None if active is None else np.ascontiguousarray(active, float)
+    _declared("kkt_select", 2)(system.address, None if chosen is None else chosen.ctypes.data)
+    return system
+
+
+def derivatives_of(system):
+    """Values and derivatives at the point of a system."""
+    problem, (n_w, n_c, m) = system.instance.problem, system.sizes_of_parts
+    T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
+    matrices = {
+        "F": T * n_s * n_x,
+        "G": T * n_x * problem.n_path + n_s * problem.n_terminal,
+        "E": T * n_x * problem.n_path_equality + n_s * problem.n_terminal_equality,
+        "H": T * n_x * n_x + n_s * n_s,
+    }
+    at, (_, path, equality) = system.structure, system.instance.rows.split(-c.read(system.structure.slack, m))
+    parts = {name: c.read(getattr(at.system, name), size) for name, size in matrices.items()}
+    stages, end = np.split(parts["H"], [T * n_x * n_x])
+    lower = np.triu(stages.reshape(T, n_x, n_x)), np.triu(end.reshape(n_s, n_s))  # by columns
+    return StageDerivatives(
+        objective=at.objective,
+        defects=c.read(at.defects, n_c),
+        path=path,
+        equality=equality,
+        gradient=c.read(at.gradient, n_w),
+        **parts | {"H": np.concatenate([*map(np.ravel, lower)])},
+    )
+
+
+def rows_along(system, x):
+    """The Jacobian of all rows times x, (n_rows,)."""
+    values, given = np.empty(system.sizes_of_parts[2]), np.ascontiguousarray(x, float)
+    _declared("rows_times", 3)(system.address, given.ctypes.data, values.ctypes.data)
+    return values
+
+
+def adjoint_of(factors, slope):
+    """The solution for the right-hand side (slope, 0, 0), and its relative residual."""
+    _, n_c, m = factors.system.sizes_of_parts
+    return factors.solve(PrimalDual(slope, np.zeros(n_c), np.zeros(m)), np.zeros(len(factors.system.instance.s0)))
+
+
+def pull(system, adjoint):
+    """Gradients of a function of x by the parameters, from its adjoint."""
+    problem = system.instance.problem
+    found, weights = ByParameters.empty(problem), Triple(PrimalDual(adjoint.x, adjoint.costates, +adjoint.forces))
+    structure = found.structure
+    with borrow_core(problem) as core:
+        function = core.function(parameter_derivatives.pull)
+        _declared("kkt_pull", 4)(system.address, function, weights.address, ctypes.addressof(structure))
+    return ByParameters(*(-by for by in found))
 
 
 def defects_along(system, x):

@@ -10,12 +10,12 @@ import pytest
 from dense_kkt import derivative, unknowns
 from problems import TABLE, network, swing_up
 
-from kpirl_ocp import OCP, Ipopt, Riccati
+from kpirl_ocp import OCP, Ipopt, Riccati, Trajectory
 from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
-from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, linearise
+from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, at_solution
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 
 CASES = TABLE | {
@@ -57,8 +57,8 @@ def in_dense_order(problem, x):
 def test_gradients_equal_those_of_the_dense_kkt_matrix(name, barrier):
     (problem, *_), _, function, dense = solved(name, barrier)
     slope = random_slope(function.system)
-    adjoint, residual = function.factors.adjoint(slope)
-    found = function.pull(adjoint)
+    adjoint, residual = kkt_in_c.adjoint_of(function.factors, slope)
+    found = kkt_in_c.pull(function.system, adjoint)
     expected = in_dense_order(problem, slope) @ dense
     assert len(found.psi) == problem.n_parameters
     np.testing.assert_allclose(np.concatenate(found), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
@@ -84,7 +84,8 @@ def test_both_products_are_adjoint(name):
     slope[: len(s0)] = 0.0
     parts = ByParameters(*(rng.normal(size=len(x)) for x in (psi, s0, context)))
     one = slope @ function.push(parts)[0].x
-    other = np.concatenate(function.pull(function.factors.adjoint(slope)[0])) @ np.concatenate(parts)
+    adjoint, _ = kkt_in_c.adjoint_of(function.factors, slope)
+    other = np.concatenate(kkt_in_c.pull(function.system, adjoint)) @ np.concatenate(parts)
     np.testing.assert_allclose(one, other, rtol=1e-9)
 
 
@@ -138,7 +139,7 @@ def test_the_lowest_mode_follows_the_dynamics_and_has_the_lowest_curvature(name)
 def test_curvatures_of_entries_by_themselves_equal_the_dense_product(name):
     """|H_t| + |F_t|' |H_t+1| |F_t|, on the diagonal."""
     (problem, *_), _, function, _ = solved(name)
-    system, d = function.system, function.system.derivatives
+    system, d = function.system, kkt_in_c.derivatives_of(function.system)
     T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
     H = np.abs(dense_parts(system)[0])
     expected = np.diag(H).copy()
@@ -149,9 +150,20 @@ def test_curvatures_of_entries_by_themselves_equal_the_dense_product(name):
     np.testing.assert_allclose(c.read(system.structure.curvature, len(expected)), expected, rtol=1e-13)
 
 
+@pytest.mark.parametrize(("share", "curvature"), [(1.0, 1.0), (2e-12, 1.0), (5e-13, 5e-13), (0.0, 0.0)])
+def test_a_decision_is_measured_by_its_own_curvature_down_to_a_trillionth_of_the_largest(share, curvature):
+    """Of (u_0 - 1)^2 + share (u_1 - 1)^2 both eigenvalues are one in the units of each; without them, `share`."""
+    u, s = ca.SX.sym("u", 2), ca.SX.sym("s")
+    cost = (u[0] - 1) ** 2 + share * (u[1] - 1) ** 2
+    problem = OCP.from_expressions(state=s, action=u, horizon=1, dynamics=s + u[0], stage_cost=cost)
+    plan = Riccati().solve(problem, [0.0], guess=Trajectory([[0.0], [1.0]], [[0.9, 1.0]]))
+    found = Factorisation(at_solution(problem, plan)).curvature
+    np.testing.assert_allclose(found, curvature, rtol=1e-6, atol=1e-20)
+
+
 def dense_parts(system):
     """H (n_w, n_w), Z (n_w, n_decisions) from decisions to what follows by the dynamics, and rows (n_rows, n_w)."""
-    problem, d, size = system.instance.problem, system.derivatives, len(system.point.x)
+    problem, d, size = system.instance.problem, kkt_in_c.derivatives_of(system), len(system.point.x)
     T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
     H, Z = np.zeros((size, size)), np.zeros((size, len(system.instance.rows.decisions)))
     Z[system.instance.rows.decisions, np.arange(Z.shape[1])] = 1.0
@@ -161,7 +173,7 @@ def dense_parts(system):
         H[at, at] = lower + np.tril(lower, -1).T
         if t < T:
             Z[(t + 1) * n_x : (t + 1) * n_x + n_s] = d.F[t * n_s * n_x :][: n_s * n_x].reshape(n_x, n_s).T @ Z[at]
-    return H, Z, np.array([system.times(column) for column in np.eye(size)]).T
+    return H, Z, np.array([kkt_in_c.rows_along(system, column) for column in np.eye(size)]).T
 
 
 def test_unstable_dynamics_do_not_hide_a_minimum():
@@ -190,16 +202,16 @@ def test_change_of_the_adjoint_nearby_is_that_between_two_linearisations(name, b
     _, _, function, _ = solved(name, barrier)
     system, rng = function.system, np.random.default_rng(4)
     slope = rng.normal(size=len(system.point.x))
-    adjoint, _ = function.factors.adjoint(slope)
+    adjoint, _ = kkt_in_c.adjoint_of(function.factors, slope)
     point, given_start = system.point, np.arange(len(system.point.x)) >= len(system.instance.s0)
     nearby = PrimalDual(
         point.x + 1e-6 * rng.normal(size=point.x.shape) * given_start,
         point.costates + 1e-4 * rng.normal(size=point.costates.shape),
         point.forces * (1 + 1e-4 * rng.normal(size=point.forces.shape)),
     )
-    there = linearise(system.instance, nearby, system.active)
+    there = kkt_in_c.linearise(system.instance, nearby, system.active)
     found = kkt_in_c.change_nearby(system, there, slope, adjoint)
-    moved, _ = Factorisation(linearise(system.instance, nearby, system.active)).adjoint(slope)
+    moved, _ = kkt_in_c.adjoint_of(Factorisation(kkt_in_c.linearise(system.instance, nearby, system.active)), slope)
     decisions = system.instance.rows.decisions
     one, other = (system.roots * part.x[decisions] for part in (moved, adjoint))
     np.testing.assert_allclose(found, np.linalg.norm(one - other) / np.linalg.norm(other), rtol=1e-2, atol=1e-8)
@@ -210,10 +222,11 @@ def test_differences_of_first_derivatives_show_the_residual_of_the_adjoint_nearb
     _, _, function, _ = solved(name)
     system, rng = function.system, np.random.default_rng(5)
     slope, given_start = rng.normal(size=len(system.point.x)), len(system.instance.s0)
-    adjoint, _ = function.factors.adjoint(slope)
+    adjoint, _ = kkt_in_c.adjoint_of(function.factors, slope)
     move = 1e-7 * rng.normal(size=slope.shape) * (np.arange(len(slope)) >= given_start)
     costates = system.point.costates * (1 + 1e-5 * rng.normal(size=system.point.costates.shape))
-    there = linearise(system.instance, replace(system.point, x=system.point.x + move, costates=costates), system.active)
+    moved = replace(system.point, x=system.point.x + move, costates=costates)
+    there = kkt_in_c.linearise(system.instance, moved, system.active)
     kink, residual = kkt_in_c.kink_nearby(system, there, adjoint)
     expected = (slope - kkt_in_c.balance(there, adjoint))[given_start:]
     assert kink < 1e-3
@@ -227,8 +240,8 @@ def test_adjoint_is_not_found_where_these_factors_are_of_no_use(name):
     _, _, function, _ = solved(name)
     system, slope = function.system, np.ones(len(function.system.point.x))
     far = replace(system.point, costates=system.point.costates * -1e4)  # another Hessian
-    there = linearise(system.instance, far, system.active)
-    assert kkt_in_c.change_nearby(system, there, slope, function.factors.adjoint(slope)[0]) == np.inf
+    there = kkt_in_c.linearise(system.instance, far, system.active)
+    assert kkt_in_c.change_nearby(system, there, slope, kkt_in_c.adjoint_of(function.factors, slope)[0]) == np.inf
 
 
 @pytest.mark.parametrize("name", ["integrator", "tanh network", "iiwa at a limit"])
@@ -238,7 +251,7 @@ def test_the_newton_step_from_a_perturbed_solution_leads_back_to_it(name):
     moved = replace(
         system.point, costates=system.point.costates * (1 + 1e-5 * rng.normal(size=system.point.costates.shape))
     )
-    there = linearise(system.instance, moved, system.active)
+    there = kkt_in_c.linearise(system.instance, moved, system.active)
     step = kkt_in_c.newton_step(Factorisation(there).system)
     scale = np.abs(system.point.costates).max()
     np.testing.assert_allclose(moved.costates + step.costates, system.point.costates, rtol=0, atol=1e-8 * scale)

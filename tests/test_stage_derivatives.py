@@ -20,7 +20,7 @@ from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.problem.columns import map_shared
 from kpirl_ocp.ocp.problem.layout import by_stage, split, unpack
 from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedByStage
-from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, PrimalDual, linearise
+from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, PrimalDual
 from kpirl_ocp.ocp.sensitivity.rows import rows_of
 
 PRODUCTS = parameter_derivatives.pull, parameter_derivatives.push
@@ -67,19 +67,19 @@ def test_products_with_stage_matrices_are_those_with_derivatives_of_the_whole_pr
     instance, point = random_point(problem)
     order = in_order_of_time(problem)
     slope, H, g_E, A, g_I, G = dense(instance, point)
-    system = linearise(instance, point, np.zeros(len(point.forces), bool))
+    system = kkt_in_c.linearise(instance, point, np.zeros(len(point.forces), bool))
     x, costates, forces = (RNG.normal(size=part.shape) for part in (point.x, point.costates, point.forces))
     n, (_, z, nu) = len(costates), instance.rows.split(forces)
     w = np.zeros(len(x))
     w[order] = x
-    rows = instance.rows.split(system.times(x))
+    rows, at = instance.rows.split(kkt_in_c.rows_along(system, x)), kkt_in_c.derivatives_of(system)
     pushed = forces.copy()
     pushed[: instance.rows.n_bounds] = 0.0
     balance = kkt_in_c.balance(system, PrimalDual(x, costates, pushed))
     for found, expected in [
-        (system.derivatives.gradient, slope.ravel()[order]),
-        (np.append(system.derivatives.defects, system.derivatives.equality), g_E.ravel()),
-        (system.derivatives.path, g_I.ravel()),
+        (at.gradient, slope.ravel()[order]),
+        (np.append(at.defects, at.equality), g_E.ravel()),
+        (at.path, g_I.ravel()),
         (kkt_in_c.defects_along(system, x), A[:n] @ w),
         (rows[1], G @ w),
         (rows[2], A[n:] @ w),
@@ -138,7 +138,8 @@ def test_stage_functions_take_the_derivatives_that_a_problem_brings():
     problem = replace(case.problem, derivatives=marked)
     instance, point = random_point(case.problem)
     n = problem.n_states + problem.n_actions
-    found = [one.derivatives(point).H for one in (instance, replace(instance, problem=problem))]
+    both = (kkt_in_c.linearise(one, point) for one in (instance, replace(instance, problem=problem)))
+    found = [kkt_in_c.derivatives_of(one).H for one in both]
     plain, other = (H[: problem.horizon * n**2].reshape(-1, n, n) for H in found)
     lower = np.triu(np.ones((n, n), bool))  # by columns
     np.testing.assert_allclose((other - plain)[:, lower], 1, rtol=1e-9)

@@ -22,7 +22,7 @@ from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
 from kpirl_ocp.ocp.interior_point.tapes import REPAID, Tape, Tapes, read_tapes
 from kpirl_ocp.ocp.problem.layout import by_stage, check_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, StageValues, check_guess
+from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, check_guess
 from kpirl_ocp.types import Array, Solution
 
 _OTHERS = 32  # things that a core keeps besides its functions
@@ -127,47 +127,20 @@ class Core:
             return None
         gradient = np.empty(self._n_w)
         self._library.kpirl_mpc_core_gradient(self._core, c.address_of(gradient))
-        return StageDerivatives(**self._values(gradient), **self._matrices())
-
-    def values_at(self, s0: Array, psi: Array, context: Array, point: Sequence[Array]) -> StageValues:
-        """Constraints and gradient at (x, costates, multipliers of h, g_T, of e, e_T); NaN where a function fails."""
-        return StageValues(**self._evaluate(s0, psi, context, point, c.FIRST))
-
-    def derivatives_at(self, s0: Array, psi: Array, context: Array, point: Sequence[Array]) -> StageDerivatives:
-        """`values_at` and second derivatives."""
-        return StageDerivatives(**self._evaluate(s0, psi, context, point, c.SECOND), **self._matrices())
-
-    def _evaluate(self, s0: Array, psi: Array, context: Array, point: Sequence[Array], level: int) -> dict[str, Any]:
-        kept = [np.require(array, float, ("C", "A")) for array in (s0, psi, context, *point)]
-        numbers = c.Numbers(*map(c.address_of, kept[:3]), c.address_of(self._schedule))
-        x, costates, path, equality = map(c.address_of, kept[3:])
-        start = c.Start(x, costates, None, path, equality)
-        at = ctypes.addressof(numbers), ctypes.addressof(start)
-        failed = self._library.kpirl_mpc_core_evaluate_at(self._core, *at, level)
-        self._library.kpirl_mpc_core_view(self._core, ctypes.addressof(self._view))
-        self._evaluations += self.problem.horizon
-        values = self._values(c.read(self._view.gradient, self._n_w))
-        return {name: np.nan * value for name, value in values.items()} if failed else values
-
-    def _values(self, gradient: Array) -> dict[str, Any]:
-        problem, view, T = self.problem, self._view, self.problem.horizon
-        return {
-            "objective": view.objective,
-            "defects": c.read(view.defects, T * problem.n_states),
-            "path": c.read(view.path, T * problem.n_path + problem.n_terminal),
-            "equality": c.read(view.equality, T * problem.n_path_equality + problem.n_terminal_equality),
-            "gradient": gradient,
-        }
-
-    def _matrices(self) -> dict[str, Any]:
         problem, view = self.problem, self._view
         T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
-        return {
-            "F": c.read(view.F, T * n_s * n_x),
-            "G": c.read(view.G, T * n_x * problem.n_path + n_s * problem.n_terminal),
-            "E": c.read(view.E, T * n_x * problem.n_path_equality + n_s * problem.n_terminal_equality),
-            "H": c.read(view.H, T * n_x * n_x + n_s * n_s),
-        }
+        n_h, n_e, n_gT, n_eT = problem.n_path, problem.n_path_equality, problem.n_terminal, problem.n_terminal_equality
+        return StageDerivatives(
+            objective=view.objective,
+            defects=c.read(view.defects, T * n_s),
+            path=c.read(view.path, T * n_h + n_gT),
+            equality=c.read(view.equality, T * n_e + n_eT),
+            gradient=gradient,
+            F=c.read(view.F, T * n_s * n_x),
+            G=c.read(view.G, T * n_x * n_h + n_s * n_gT),
+            E=c.read(view.E, T * n_x * n_e + n_s * n_eT),
+            H=c.read(view.H, T * n_x * n_x + n_s * n_s),
+        )
 
     def _bounds(self) -> Any:
         lower, upper, free = point_bounds(self.problem)

@@ -15,7 +15,6 @@ from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.types import Array
 
 POINTER, INT, REAL = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
-FIRST, SECOND = 1, 2  # levels of derivatives
 _NOTHING = np.zeros(1)  # in place of empty arrays: NULL stands for what is not given
 _address, _begin = ctypes.addressof, ctypes.c_char.from_buffer
 
@@ -286,7 +285,6 @@ def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER]
     core.kpirl_mpc_solve_each.argtypes = [POINTER, INT, *[POINTER] * 5]
     core.kpirl_mpc_solve_each.restype = None
-    core.kpirl_mpc_core_evaluate_at.argtypes = [POINTER, POINTER, POINTER, INT]
     for name in ("set_model", "gradient", "view"):
         getattr(core, f"kpirl_mpc_core_{name}").argtypes = [POINTER] * 2
     for name, count in _OF_SYSTEMS.items():

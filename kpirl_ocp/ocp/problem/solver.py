@@ -18,11 +18,14 @@ Guess = Solution | Trajectory | None
 
 
 @dataclass(frozen=True, eq=False)
-class StageValues:
-    """The constraints and the gradient of the Lagrangian without bounds at a point, flat, in the order of time.
+class StageDerivatives:
+    """Constraints, the gradient of the Lagrangian without bounds, and second derivatives at a point, in order of time.
 
     objective: J. defects: f - s_next (T n_s,). path: h at all stages, then g_T. equality: e at all stages, then e_T.
     gradient: by x = (s_0, u_0, s_1, .., s_T), given entries of s_0 included.
+    The others are column-major matrices, one stage after the other. F: Jacobians of f (n_s, n_x). G, E: transposed
+    Jacobians of h (n_x, n_h) and e (n_x, n_e), then of g_T and e_T. H: Hessians of the Lagrangian (n_x, n_x), at the
+    end (n_s, n_s); only the lower triangles are set.
     """
 
     objective: float
@@ -30,16 +33,6 @@ class StageValues:
     path: Array
     equality: Array
     gradient: Array
-
-
-@dataclass(frozen=True, eq=False)
-class StageDerivatives(StageValues):
-    """The same, with derivatives: column-major matrices, one stage after the other.
-
-    F: Jacobians of f (n_s, n_x). G, E: transposed Jacobians of h (n_x, n_h) and e (n_x, n_e), then of g_T and e_T.
-    H: Hessians of the Lagrangian (n_x, n_x), at the end (n_s, n_s); only the lower triangles are set.
-    """
-
     F: Array
     G: Array
     E: Array

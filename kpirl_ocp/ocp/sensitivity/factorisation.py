@@ -28,11 +28,6 @@ class Factorisation:
         self.curvature = float(system.structure.lowest)
         self.qualification = float(system.structure.qualification)
 
-    def adjoint(self, slope: Array) -> tuple[PrimalDual, float]:
-        """The solution for the right-hand side (slope, 0, 0), and its relative residual."""
-        _, n_c, m = self.system.sizes_of_parts
-        return self.solve(PrimalDual(slope, np.zeros(n_c), np.zeros(m)), np.zeros(len(self.system.instance.s0)))
-
     def solve(self, right: PrimalDual, s0: Array) -> tuple[PrimalDual, float]:
         """x, lambda and mu for the right-hand side (r, d, c) and given entries of s_0, and the relative residual.
 

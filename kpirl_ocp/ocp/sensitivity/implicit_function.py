@@ -4,13 +4,13 @@ With v = (x, lambda, mu), p = (psi, s_0, c) and F(v; p) = (grad_x Lagrangian, de
 
     dv/dp = -(dF/dv)^{-1} dF/dp.
 
-`pull` is the vector-Jacobian product for a cotangent of x, `push` the Jacobian-vector product for a tangent of p.
-Whether the derivative exists is not checked here: `sensitivity` returns it with a certificate.
+`push` is the Jacobian-vector product for a tangent of p; the vector-Jacobian product for a cotangent of x is that of
+`kpirl_ocp.ocp.sensitivity.evidence.measure`. Whether the derivative exists is not checked here: `sensitivity` returns
+it with a certificate.
 """
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,10 +19,9 @@ import numpy as np
 from kpirl_ocp.ocp.codegen.numpy_calls import call
 from kpirl_ocp.ocp.conditions import parameter_derivatives
 from kpirl_ocp.ocp.interior_point import library as c
-from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
-from kpirl_ocp.ocp.sensitivity.kkt_system import KKTSystem, PrimalDual, Triple, at_solution
+from kpirl_ocp.ocp.sensitivity.kkt_system import KKTSystem, PrimalDual, at_solution
 from kpirl_ocp.types import Array, Solution
 
 
@@ -56,16 +55,6 @@ class ImplicitFunction:
         """Linearise and factorise at a solution; one with a barrier is a solution of the smoothed problem."""
         system = at_solution(problem, solution)
         return cls(system, Factorisation(system))
-
-    def pull(self, adjoint: PrimalDual) -> ByParameters:
-        """Gradients of a function of x by the parameters, from its adjoint (`Factorisation.adjoint`)."""
-        problem = self.system.instance.problem
-        found, weights = ByParameters.empty(problem), Triple(PrimalDual(adjoint.x, adjoint.costates, +adjoint.forces))
-        structure = found.structure
-        with borrow_core(problem) as core:
-            addresses = core.function(parameter_derivatives.pull), weights.address
-            core.library.kpirl_mpc_kkt_pull(self.system.address, *addresses, ctypes.addressof(structure))
-        return ByParameters(*(-by for by in found))
 
     def push(self, direction: ByParameters) -> tuple[PrimalDual, float]:
         """Change of the solution when psi, s_0 and the context change, and the relative residual of its system.

@@ -27,7 +27,7 @@ from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.core import Core
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.solver import StageDerivatives, StageValues
+from kpirl_ocp.ocp.problem.solver import StageDerivatives
 from kpirl_ocp.ocp.sensitivity.rows import Rows, rows_of
 from kpirl_ocp.ocp.sensitivity.solution_arrays import as_row, check_solution
 from kpirl_ocp.types import Array, Mask, Solution
@@ -54,19 +54,6 @@ class Instance:
     def rows(self) -> Rows:
         """All constraints but the dynamics."""
         return rows_of(self.problem)
-
-    def values(self, point: PrimalDual) -> StageValues:
-        """Constraints and the gradient of the Lagrangian at a point."""
-        with borrow_core(self.problem) as core:
-            return core.values_at(self.s0, self.psi, self.context, self._arguments(point))
-
-    def derivatives(self, point: PrimalDual) -> StageDerivatives:
-        """The same, with first and second derivatives."""
-        with borrow_core(self.problem) as core:
-            return core.derivatives_at(self.s0, self.psi, self.context, self._arguments(point))
-
-    def _arguments(self, point: PrimalDual) -> list[Array]:
-        return [point.x, point.costates, *self.rows.split(point.forces)[1:]]
 
 
 @dataclass(frozen=True)
@@ -97,7 +84,7 @@ class Memory:
 class KKTSystem:
     """First and second derivatives at a point, and the active rows; rows are ordered as in `Rows`.
 
-    `linearise` and `at_solution` build one. Its properties return copies of the arrays.
+    `at_solution` builds one. Its properties return copies of the arrays.
 
     finite: True if no derivative holds NaN or infinity.
     """
@@ -141,17 +128,6 @@ class KKTSystem:
             ctypes.memmove(getattr(self.structure.point, name), array.ctypes.data, array.nbytes)
         self.structure.evaluated = False
 
-    def evaluate(self) -> None:
-        """Evaluate the derivatives at the point."""
-        with borrow_core(self.instance.problem) as core:
-            self._library.kpirl_mpc_kkt_evaluate(self.address, core.address)
-
-    def select(self, active: Mask | None) -> None:
-        """Set the active rows (n_rows,), by default those that the multipliers and slacks at the point suggest."""
-        chosen = np.zeros(0) if active is None else np.ascontiguousarray(active, float)
-        address = None if active is None else chosen.ctypes.data
-        self.finite = bool(self._library.kpirl_mpc_kkt_select(self.address, address))
-
     def linearise_at(self, solution: Solution, core: Core, derivatives: StageDerivatives | None) -> None:
         """Set point, derivatives and active rows for a solution of the instance.
 
@@ -192,33 +168,6 @@ class KKTSystem:
     def roots(self) -> Array:
         """(n_decisions,) square root of the curvature of each decision by itself, the largest over the horizon."""
         return self._of_system("roots", len(self.instance.rows.decisions))
-
-    @property
-    def derivatives(self) -> StageDerivatives:
-        """Values and derivatives at the point."""
-        problem, (n_w, n_c, m) = self.instance.problem, self.sizes_of_parts
-        T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
-        matrices = {
-            "F": T * n_s * n_x,
-            "G": T * n_x * problem.n_path + n_s * problem.n_terminal,
-            "E": T * n_x * problem.n_path_equality + n_s * problem.n_terminal_equality,
-            "H": T * n_x * n_x + n_s * n_s,
-        }
-        _, path, equality = self.instance.rows.split(-c.read(self.structure.slack, m))
-        return StageDerivatives(
-            objective=self.structure.objective,
-            defects=c.read(self.structure.defects, n_c),
-            path=path,
-            equality=equality,
-            gradient=c.read(self.structure.gradient, n_w),
-            **{name: self._of_system(name, size) for name, size in matrices.items()},
-        )
-
-    def times(self, x: Array) -> Array:
-        """The Jacobian of all rows times x, (n_rows,)."""
-        values, given = np.empty(self.sizes_of_parts[2]), np.ascontiguousarray(x, float)
-        self._library.kpirl_mpc_rows_times(self.address, given.ctypes.data, values.ctypes.data)
-        return values
 
     def transposed_times(self, forces: Array) -> Array:
         """The transposed Jacobian of all rows times forces, (n_w,)."""
@@ -263,13 +212,4 @@ def at_solution(problem: OCP, solution: Solution) -> KKTSystem:
     system = KKTSystem(Instance.of(problem, solution))
     with borrow_core(problem) as core:
         system.linearise_at(solution, core, None)
-    return system
-
-
-def linearise(instance: Instance, point: PrimalDual, active: Mask | None = None) -> KKTSystem:
-    """The KKT system at a point for an active set, by default the one that `KKTSystem.select` chooses."""
-    system = KKTSystem(instance)
-    system.set_point(point)
-    system.evaluate()
-    system.select(active)
     return system
