@@ -18,7 +18,8 @@ from kpirl_ocp.assets import iiwa_urdf
 from kpirl_ocp.cli.commands import learn_video
 from kpirl_ocp.cli.imitation.arm import Scale, arm_for, other_starts
 from kpirl_ocp.cli.imitation.checks import check_cost_arm
-from kpirl_ocp.cli.imitation.execution import execute
+from kpirl_ocp.cli.imitation.drawing import side_by_side
+from kpirl_ocp.cli.imitation.execution import Executed, execute
 from kpirl_ocp.cli.main import run
 from kpirl_ocp.errors import DemonstrationError, FileError, OptionError, ProblemError, SceneError
 from kpirl_ocp.irl.cases.cost_files import ArmSetting, LearnedCost
@@ -39,9 +40,10 @@ from kpirl_ocp.ocp.models.robot import Keypoint, Robot
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.perception.data.encoding import write_video
+from kpirl_ocp.perception.data.video import iterate_frames
 from kpirl_ocp.perception.scene.camera import Camera
 from kpirl_ocp.perception.scene.scene import Scene
-from kpirl_ocp.perception.tracking.tracks import read_tracks
+from kpirl_ocp.perception.tracking.tracks import Tracks, read_tracks
 from kpirl_ocp.perception.tracking.watch import Film, seen_at_rest
 from kpirl_ocp.types import Demonstration, Status
 
@@ -449,6 +451,30 @@ def test_a_film_of_a_few_frames_is_refused_for_that(tmp_path, count, said, capsy
 def test_a_part_of_a_film_without_frames_is_named(tmp_path, moving_film, capsys):
     assert run(["learn-video", str(moving_film), "--start", "0.5", "--end", "0.55", "--out", str(tmp_path)]) == 2
     assert "has 2 frames from 0.5 s to 0.55 s" in capsys.readouterr().err
+
+
+def test_a_refusal_tells_the_times_that_start_and_end_mean(tmp_path, moving_film, capsys):
+    times = np.arange(40) / 30
+    places = np.full((40, 2, 2), 60.0) + np.where(times < 0.99, 0.0, 50.0)[:, None, None]
+    np.savez(tmp_path / "jump.npz", tracks=places, times=times)
+    words = ["learn-video", str(moving_film), "--tracks", str(tmp_path / "jump.npz"), "--scale", "1"]
+    assert run([*words, "--start", "0.4", "--out", str(tmp_path)]) == 2
+    assert "jump at 1.00 s" in capsys.readouterr().err
+
+
+def test_the_person_and_the_robot_are_shown_at_the_same_steps(tmp_path, moving_film):
+    """The film is 1.3 s long, and the plan has 3 steps: frames 0, 13, 26 and 39 of it, with the arm's four images."""
+    tracks = Tracks(np.arange(40) / 30, np.zeros((40, 1, 2)), np.ones((40, 1)), (320, 180))
+    images = np.arange(4, dtype=np.uint8)[:, None, None, None] * 60 + np.zeros((4, 90, 90, 3), np.uint8)
+    run = Executed(np.zeros((4, 1, 2)), np.zeros((4, 1, 2)), 0.0, 0.0, 2, images)
+    found = list(iterate_frames(side_by_side(tmp_path / "pair.mp4", Film(moving_film), tracks, run)))
+    frames = [image for _, image in iterate_frames(moving_film)]
+    np.testing.assert_allclose([time for time, _ in found], [0, 0.5, 1, 1.5])
+    for step, (_, pair) in enumerate(found):
+        assert pair.shape == (180, 320 + 180, 3)
+        assert abs(pair[90:, 330:].mean() - 60 * step) < 3
+        apart = [np.abs(pair[20:, 20:320].astype(int) - frame[20:, 20:]).mean() for frame in frames]
+        assert np.argmin(apart) == 13 * step
 
 
 def test_a_still_film_in_which_nothing_is_marked_is_refused_with_what_to_do(tmp_path, capsys):

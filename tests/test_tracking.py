@@ -18,7 +18,7 @@ from kpirl_ocp.perception.tracking import objects
 from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, refusal
 from kpirl_ocp.perception.tracking.appearance import Memory, Views
 from kpirl_ocp.perception.tracking.identity.lookalikes import Lookalikes
-from kpirl_ocp.perception.tracking.pictures import at_times, overlays, track_film, track_sheet
+from kpirl_ocp.perception.tracking.pictures import at_times, captioned, overlay, overlays, track_film, track_sheet
 from kpirl_ocp.perception.tracking.similarity import apart, fit, transform
 from kpirl_ocp.perception.tracking.tracker import Located, track
 from kpirl_ocp.perception.tracking.tracks import Tracks, of_object, read_tracks, spread, write_tracks
@@ -239,7 +239,7 @@ def test_a_motion_that_is_seen_is_a_demonstration():
 
 def test_keypoints_that_hardly_move_are_refused():
     found = refusal(tracks_of(WAY[0] + 0.03 * (WAY - WAY[0])))
-    assert "hardly move: 3.0 pixels" in found.reason
+    assert "hardly move: 3.0 pixels at most, in frames of 320 x 180." in found.reason
     assert found.frames == (0, 59)
 
 
@@ -359,6 +359,29 @@ def test_the_film_and_the_sheet_show_the_tracks(tmp_path):
     assert width / height == pytest.approx(6.0 / (3.0 * HEIGHT / WIDTH + 0.3), rel=0.01)  # two frames, no empty places
     found = list(iterate_frames(track_film(tmp_path / "film.mp4", frames, tracks)))
     assert len(found) == 6
+
+
+def test_a_dot_is_above_the_paths_of_others():
+    trails = np.array([[[50.0, 20], [20, 50]], [[50, 80], [80, 50]]])  # the second path crosses the end of the first
+    trails[-1, 0] = [50, 50]
+    assert tuple(overlay(WALL, trails)[50, 50]) == (0, 114, 178)
+
+
+def test_a_trail_is_a_second_long_whatever_the_rate():
+    for rate in (10, 30, 60):
+        places = np.column_stack([np.linspace(20, 300, 2 * rate + 1), np.full(2 * rate + 1, 90)])  # in two seconds
+        tracks = tracks_of(places, rate=rate)
+        *_, last = overlays(((time, WALL) for time in tracks.times), tracks)
+        drawn = np.flatnonzero(np.any(last[90] != WALL[90], axis=-1))
+        assert drawn.min() == pytest.approx(160 - 5, abs=3)  # the first keypoint, 5 pixels to the left
+
+
+def test_the_film_says_the_time_and_how_much_is_seen():
+    tracks = tracks_of(WAY[:2], confidence=0.5)
+    for image, text in zip(overlays([(0.0, WALL), (1 / 30, WALL)], tracks), ("0.00", "0.03"), strict=True):
+        expected = captioned(WALL, f"{text} s, seen 50%")
+        np.testing.assert_array_equal(image[:30, :180], expected[:30, :180])
+        assert (image[:30, :180] != WALL[:30, :180]).any()
 
 
 def test_tracks_of_another_rate_are_drawn_into_the_nearest_frames():

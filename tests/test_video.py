@@ -1,5 +1,6 @@
 """Videos as phones make them, folders of pictures as people number them, and what is said of files that are none."""
 
+import shlex
 import struct
 from collections import deque
 from fractions import Fraction
@@ -206,10 +207,12 @@ def test_what_comes_before_the_damage_can_be_used(tmp_path):
 
 
 def test_a_codec_that_cannot_be_decoded_is_named_with_the_command_that_converts_it(tmp_path):
-    path = film(tmp_path / "strange.mp4", "libx264", "yuv420p", [picture()] * 3)
+    path = film(tmp_path / "very strange.mp4", "libx264", "yuv420p", [picture()] * 3)
     path.write_bytes(path.read_bytes().replace(b"avc1", b"xyz9"))
-    with pytest.raises(FileError, match=r"codec 'xyz9'.*\n.*ffmpeg -i strange.mp4 .*strange-h264.mp4"):
+    with pytest.raises(FileError, match=r"codec .xyz9. cannot be decoded here\. Convert it with\n") as caught:
         next(iterate_frames(path))
+    command = shlex.split(str(caught.value).splitlines()[1])  # a line that a shell takes as it is
+    assert (command[0], command[2], command[-1]) == ("ffmpeg", str(path), str(tmp_path / "very strange-h264.mp4"))
 
 
 def test_sound_alone_is_no_video(tmp_path):
@@ -233,6 +236,22 @@ def test_pictures_come_in_the_order_in_which_people_number_them(tmp_path):
     found = list(iterate_frames(tmp_path, source_rate=10))
     np.testing.assert_allclose([image.mean() for _, image in found], 20 * np.arange(12), atol=2)
     np.testing.assert_allclose([time for time, _ in found], np.arange(12) / 10)
+
+
+def test_hidden_files_beside_pictures_and_videos_are_none(tmp_path):
+    """Such as macOS writes next to every file on a stick."""
+    cv2.imwrite(str(tmp_path / "1.png"), picture())
+    film(tmp_path / "1.mp4", "libx264", "yuv420p", [picture()] * 7)
+    (tmp_path / "._1.png").write_bytes(b"\0\5\x16\7")
+    (tmp_path / "._1.mp4").write_bytes(b"\0\5\x16\7")
+    assert len(list(iterate_frames(tmp_path, source_rate=10))) == 1
+    assert len(read_videos([tmp_path])) == 1
+
+
+def test_a_file_that_is_no_picture_is_named_in_plain_words(tmp_path):
+    (tmp_path / "1.png").write_bytes(b"no picture")
+    with pytest.raises(FileError, match=r"1\.png cannot be read as an image: it is no PNG or JPEG, whatever its name"):
+        list(iterate_frames(tmp_path, source_rate=10))
 
 
 def test_pictures_of_several_sizes_are_refused(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.visual.camera_learning import camera_demonstration, learn_in_image
 from kpirl_ocp.irl.visual.reach import check_reach
 from kpirl_ocp.ocp.export.folder import export_c
+from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector.tracks import detector_tracks
 from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, refusal
 from kpirl_ocp.perception.tracking.pictures import draw_object, evenly, track_film, track_sheet
@@ -66,9 +68,10 @@ def _kept(out: Path) -> str:
 
 def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) -> int:
     """Learn and execute; length: of the object [pixels], where it is known."""
-    print(f"sheet:   {track_sheet(args.out / 'tracks.png', film.frames(), tracks, evenly(_SHOWN, len(tracks.times)))}")
-    print(f"tracks:  {track_film(args.out / 'tracks.mp4', film.frames(), tracks)}")
-    _admit(args, film, tracks)
+    played = replace(tracks, times=film.start + tracks.times)
+    print(f"sheet:   {track_sheet(args.out / 'tracks.png', _played(film), played, evenly(_SHOWN, len(played.times)))}")
+    print(f"tracks:  {track_film(args.out / 'tracks.mp4', _played(film), played)}")
+    _admit(args, film, played)
     shown, part = _part(film, tracks)
     check_steps(part, args.steps)
     if args.dynamics:
@@ -115,11 +118,19 @@ def _watch(args: Namespace, film: Film) -> tuple[Tracks, float | None]:
     return tracks, length
 
 
+def _played(film: Film) -> Iterator[tuple[float, Frames]]:
+    """Its frames at the times that a player shows, and that --start and --end mean."""
+    return ((film.start + time, image) for time, image in film.frames())
+
+
 def _admit(args: Namespace, film: Film, tracks: Tracks) -> None:
-    """Raise DemonstrationError, with the picture that shows why, if there is nothing to learn from."""
+    """Raise DemonstrationError, with the picture that shows why, if there is nothing to learn from.
+
+    tracks: at the times of `_played`.
+    """
     found = refusal(tracks)
     if found is not None:
-        picture = track_sheet(args.out / "refused.png", film.frames(), tracks, found.frames)
+        picture = track_sheet(args.out / "refused.png", _played(film), tracks, found.frames)
         raise DemonstrationError(f"{found.reason} See {picture}.{_guess(args)}")
 
 

@@ -14,8 +14,8 @@ from kpirl_ocp import figures
 from kpirl_ocp.cli.imitation.execution import Executed
 from kpirl_ocp.irl.visual.camera_learning import CameraLearning
 from kpirl_ocp.perception.data.encoding import write_video
-from kpirl_ocp.perception.data.video import Frames, sampled
-from kpirl_ocp.perception.tracking.pictures import overlay, zoomed
+from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.perception.tracking.pictures import at_times, overlay, zoomed
 from kpirl_ocp.perception.tracking.tracks import Tracks
 from kpirl_ocp.perception.tracking.watch import Film
 from kpirl_ocp.pictures import PAGE, STYLE, figure_class
@@ -47,6 +47,8 @@ def draw_learning(path: Path, learning: CameraLearning) -> Path:
     cost = learning.cost
     weights, efforts = cost.cost.weights(cost.psi, cost.horizon, len(cost.displacement))
     figures.weights(axes[1], weights, "learned weights", dimensions=2)
+    for index, name in enumerate(axes[1].get_yticklabels()):
+        name.set_color(figures.COLOURS[index // 2 % len(figures.COLOURS)])  # that of the keypoint in the other pictures
     axes[2].bar(np.arange(1, len(efforts) + 1), efforts, color=figures.COLOURS[0])
     axes[2].set(title="learned effort weights", xlabel="step", ylabel="weight of |u|², u in rad")
     return figures.save(figure, path)
@@ -95,15 +97,14 @@ def _draw_tracks(axis: Axes, tracks: Tracks) -> None:
 
 def side_by_side(path: Path, film: Film, tracks: Tracks, run: Executed) -> Path:
     """An .mp4 of the person with tracks, and of the robot with its keypoints, step by step."""
-    rate = len(run.images) / float(tracks.times[-1])
-    frames = [image for _, image in sampled(film.frames(), rate)]
-    steps = range(min(len(frames), len(run.images)))
-    return write_video(path, _pairs(frames, tracks, run, steps), rate=run.rate, codec="h264")
+    steps = tracks.at_rate((len(run.images) - 1) / float(tracks.times[-1]))
+    return write_video(path, _pairs(film, steps, run), rate=run.rate, codec="h264")
 
 
-def _pairs(frames: list[Frames], tracks: Tracks, run: Executed, steps: range) -> Iterator[Frames]:
-    places = tracks.at_rate(len(run.images) / float(tracks.times[-1]))
-    for step in steps:
-        person = overlay(frames[step], places.positions[: step + 1])
-        zoom = person.shape[0] / run.images.shape[1]
-        yield np.hstack([person, overlay(zoomed(run.images[step], zoom), zoom * run.keypoints[: step + 1])])
+def _pairs(film: Film, tracks: Tracks, run: Executed) -> Iterator[Frames]:
+    """The frames of the tracks (T+1), each beside what the robot's camera saw at the same step."""
+    for step, image in enumerate(at_times(film.frames(), tracks.times)):
+        zoom = image.shape[0] / run.images.shape[1]
+        pair = np.hstack([image, zoomed(run.images[step], zoom)])
+        arm = [image.shape[1], 0] + zoom * run.keypoints[: step + 1]
+        yield overlay(overlay(pair, tracks.positions[: step + 1]), arm)

@@ -8,7 +8,7 @@ from pathlib import Path
 from kpirl_ocp.episodes import episode_path, iterate_episodes, read_meta
 from kpirl_ocp.errors import FileError
 from kpirl_ocp.perception.data.decoding import VIDEO_SUFFIXES
-from kpirl_ocp.perception.data.pictures import natural_order
+from kpirl_ocp.perception.data.pictures import files_in
 from kpirl_ocp.perception.data.recordings import Recording, read_hand
 from kpirl_ocp.perception.data.video import Frames, read_demonstration
 
@@ -28,13 +28,8 @@ def read_videos(paths: Sequence[str | Path]) -> list[Frames]:
     """Frames at 5 Hz of videos, or of all videos in directories. Raises FileError if a directory has none."""
     clips = []
     for path in map(Path, paths):
-        videos = _videos_in(path) if path.is_dir() else [path]
+        videos = files_in(path, VIDEO_SUFFIXES) if path.is_dir() else [path]
         if not videos:
             raise FileError(f"{path} holds no video ({', '.join(VIDEO_SUFFIXES)}).")
         clips += [read_demonstration(video, rate=_RATE) for video in videos]
     return clips
-
-
-def _videos_in(directory: Path) -> list[Path]:
-    found = [path for path in directory.iterdir() if path.suffix.lower() in VIDEO_SUFFIXES]
-    return sorted(found, key=natural_order)

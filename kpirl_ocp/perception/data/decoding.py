@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from shlex import quote
 
 import av
 import av.error
@@ -56,7 +57,8 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
                     f"{path} is damaged, or its frames have more than {_MOST_PIXELS / 1e6:.0f} million pixels."
                 ) from error
             raise FileError(
-                f"{path} is damaged or incomplete after {time:.2f} of {promised:.2f} s: copy it again, or end before."
+                f"{path} is damaged or incomplete after {time:.2f} of {promised:.2f} s: copy it again, or end before "
+                "that (--end)."
             ) from error
     if first is None:
         raise FileError(f"{path} cannot be decoded as a video; is it complete?")
@@ -64,7 +66,7 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
     if missing > max(2 * longest, min(0.25, 0.1 * promised)) and time + period < end:
         raise FileError(
             f"{path} is incomplete: it ends after {time + period:.2f} of {promised:.2f} s. "
-            "Copy it again, or end before."
+            "Copy it again, or end before that (--end)."
         )
 
 
@@ -87,7 +89,9 @@ def _open(path: Path) -> tuple[av.container.InputContainer, av.VideoStream]:
         codec = next((name for name in reversed(found.groups()) if name), "?") if found else "?"
         raise FileError(
             f"{path}: its codec {codec!r} cannot be decoded here. Convert it with\n"
-            f"    ffmpeg -i {path.name} -c:v libx264 -pix_fmt yuv420p {path.stem}-h264.mp4"
+            f"    ffmpeg -i {quote(str(path))} -c:v libx264 -pix_fmt yuv420p "
+            f"{quote(str(path.with_name(path.stem + '-h264.mp4')))}\n"
+            "and take the film that this writes."
         )
     context = streams[0].codec_context
     _square_size(path, context.width, context.height, streams[0])

@@ -5,13 +5,13 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from kpirl_ocp.errors import FileError
 from kpirl_ocp.sizes import check_file
@@ -25,9 +25,15 @@ def natural_order(path: Path) -> tuple[tuple[int, int, str], ...]:
     return tuple((1, int(part), "") if part.isdigit() else (0, 0, part) for part in parts)
 
 
+def files_in(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """The files with one of the suffixes, in capitals or not, in their order; none that is hidden (`._1.png`)."""
+    found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".")]
+    return sorted(found, key=natural_order)
+
+
 def pictures_in(folder: Path) -> list[Path]:
     """The pictures of a folder in their order. Raises FileError if there are none."""
-    paths = sorted((path for path in folder.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES), key=natural_order)
+    paths = files_in(folder, PICTURE_SUFFIXES)
     if not paths:
         raise FileError(f"the folder {folder} holds no PNG or JPEG pictures: give one that does, or a video.")
     return paths
@@ -64,6 +70,8 @@ def decode_picture(content: bytes, place: str) -> NDArray[np.uint8]:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             Image.open(io.BytesIO(content), formats=("PNG", "JPEG")).close()  # reads only the header
+    except UnidentifiedImageError as error:  # whose own words name an object of Python
+        raise FileError(f"{place} cannot be read as an image: it is no PNG or JPEG, whatever its name says.") from error
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
         raise FileError(f"{place} cannot be read as an image: {error}") from error
     image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)

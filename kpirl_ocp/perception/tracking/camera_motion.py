@@ -96,8 +96,8 @@ def _check(times: Array, reaches: Array, side: int) -> None:
     else:
         return
     raise DemonstrationError(
-        f"the camera moves, and at {at:.2f} s {reason}: choose a part of the film (start, end), or film it again with "
-        "the camera at rest."
+        f"the camera moves, and at {at:.2f} s {reason}: choose a part of the film (--start, --end), or film it again "
+        "with the camera at rest."
     )
 
 

@@ -87,8 +87,8 @@ def moving(frames: Iterable[tuple[float, Frames]], hidden: Mask | None = None) -
     agreed = fit(start[went], places[went], _AGREE)
     if agreed is None or agreed[1].sum() < _FEWEST:
         raise DemonstrationError(
-            f"nothing moves as one body within {_SECONDS:g} s: start later (start), take a part in which something is "
-            "carried, or say what to follow with points or a box."
+            f"nothing moves as one body within {_SECONDS:g} s: start later (--start), take a part in which something "
+            "is carried, or say what to follow (--points, --box)."
         )
     return _outline(first, start[went][agreed[1]], start[still], hidden)
 

@@ -18,9 +18,9 @@ from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.tracking.tracks import Tracks
 from kpirl_ocp.types import Array, Mask
 
-_TRAIL = 30  # frames of the past that a track shows
+_TRAIL = 1.0  # of the past that a track shows [s]
 _COLUMNS = 4
-_WHITE = (255, 255, 255)
+_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 
 
 def overlay(image: Frames, trails: Array, confidence: Array | None = None) -> Frames:
@@ -29,13 +29,25 @@ def overlay(image: Frames, trails: Array, confidence: Array | None = None) -> Fr
     thickness = max(1, round(max(image.shape[:2]) / 400))
     seen = np.ones(trails.shape[1], bool) if confidence is None else confidence > 0
     colours = [tuple(int(255 * value) for value in to_rgb(colour)) for colour in COLOURS]
-    for rim in (1, 0):  # a white one below all of them: seen on any ground
-        for number, trail in enumerate(trails.round().astype(np.int32).swapaxes(0, 1)):
-            rgb, width = _WHITE if rim else colours[number % len(colours)], thickness + 2 * rim
-            line = np.ascontiguousarray(trail)
-            cv2.polylines(canvas, [line], isClosed=False, color=rgb, thickness=width, lineType=cv2.LINE_AA)
-            filled = -1 if seen[number] else width
-            cv2.circle(canvas, line[-1].tolist(), 3 * thickness + rim, rgb, filled, cv2.LINE_AA)
+    lines = [np.ascontiguousarray(line) for line in trails.round().astype(np.int32).swapaxes(0, 1)]
+    rims = [(number, rim) for rim in (1, 0) for number in range(len(lines))]  # white ones below: seen on any ground
+    for number, rim in rims:
+        rgb, width = _WHITE if rim else colours[number % len(colours)], thickness + 2 * rim
+        cv2.polylines(canvas, [lines[number]], isClosed=False, color=rgb, thickness=width, lineType=cv2.LINE_AA)
+    for number, rim in rims:
+        rgb = _WHITE if rim else colours[number % len(colours)]
+        filled = -1 if seen[number] else thickness + 2 * rim
+        cv2.circle(canvas, lines[number][-1].tolist(), 3 * thickness + rim, rgb, filled, cv2.LINE_AA)
+    return canvas
+
+
+def captioned(image: Frames, text: str) -> Frames:
+    """An image (H, W, 3) with a line of text in its upper left corner."""
+    canvas = np.ascontiguousarray(image).copy()
+    size = max(0.4, max(canvas.shape[:2]) / 1000)
+    place, font, bold = (round(12 * size), round(32 * size)), cv2.FONT_HERSHEY_SIMPLEX, max(1, round(2 * size))
+    for rgb, width in ((_WHITE, bold + 4), (_BLACK, bold)):  # seen on any ground
+        cv2.putText(canvas, text, place, font, size, rgb, width, cv2.LINE_AA)
     return canvas
 
 
@@ -65,14 +77,20 @@ def at_times(frames: Iterable[tuple[float, Frames]], times: Array) -> Iterator[F
 
 
 def overlays(frames: Iterable[tuple[float, Frames]], tracks: Tracks) -> Iterator[Frames]:
-    """The frames of the tracks, one by one, with the paths drawn into them."""
+    """The frames of the tracks, one by one, with the paths of the last second drawn into them, and captions."""
+    begins = np.searchsorted(tracks.times, tracks.times - _TRAIL - 1e-9)
     for index, image in enumerate(at_times(frames, tracks.times)):
-        past = slice(max(0, index - _TRAIL), index + 1)
-        yield overlay(image, tracks.positions[past], tracks.confidence[index])
+        trails = tracks.positions[begins[index] : index + 1]
+        yield captioned(overlay(image, trails, tracks.confidence[index]), _caption(tracks, index))
+
+
+def _caption(tracks: Tracks, index: int) -> str:
+    """The time of a frame and the mean confidence in it."""
+    return f"{tracks.times[index]:.2f} s, seen {tracks.confidence[index].mean():.0%}"
 
 
 def track_film(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Tracks) -> Path:
-    """Write an .mp4 of the frames (time [s], image (H, W, 3)) of the tracks with their paths."""
+    """Write an .mp4 of the frames (time [s], image (H, W, 3)) of the tracks with their paths and captions."""
     return write_video(path, overlays(frames, tracks), round(tracks.rate, 2), codec="h264")
 
 
@@ -95,7 +113,7 @@ def track_sheet(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Trac
                 *way[-1], s=26, facecolors=colour if seen else "none", edgecolors=colour, path_effects=halo, zorder=3
             )
         axis.set(xlim=(0, width), ylim=(height, 0))
-        axis.set_title(f"{tracks.times[index]:.2f} s, seen {tracks.confidence[index].mean():.0%}", fontsize=9)
+        axis.set_title(_caption(tracks, index), fontsize=9)
     for axis in axes:
         axis.set_axis_off()
     return save(figure, path)
