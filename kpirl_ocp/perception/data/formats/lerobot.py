@@ -35,7 +35,8 @@ def read_lerobot(directory: str | Path, episodes: Sequence[int] | None = None) -
     Videos are decoded when `Take.frames` asks for them.
 
     Raises:
-        EpisodeError: `pyarrow` is not installed, or a file, key or episode is missing or of another kind.
+        DependencyError: `pyarrow` is not installed.
+        EpisodeError: a file, key or episode is missing or of another kind.
     """
     data_set = _DataSet(Path(directory))
     with read_as("LeRobot data set", directory):
@@ -52,7 +53,7 @@ def _number(number: object) -> int:
 
 
 def parquet() -> Any:
-    """The module pyarrow.parquet. Raises EpisodeError if it is not installed."""
+    """The module pyarrow.parquet. Raises DependencyError if it is not installed."""
     try:
         return import_module("pyarrow.parquet")
     except ImportError as error:

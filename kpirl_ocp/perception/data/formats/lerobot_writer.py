@@ -30,8 +30,9 @@ def write_lerobot(directory: str | Path, takes: Sequence[Take], rate: float, rob
     which is not lossless. `meta/info.json` comes last: a directory without it is not complete.
 
     Raises:
-        EpisodeError: the directory is not empty, there is nothing to write, takes differ in names or shapes, their
-            times are not those of the rate, or `pyarrow` is not installed.
+        DependencyError: `pyarrow` is not installed.
+        EpisodeError: the directory is not empty, there is nothing to write, takes differ in names or shapes, or their
+            times are not those of the rate.
     """
     root = Path(directory)
     tables = parquet()

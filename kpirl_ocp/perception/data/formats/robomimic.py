@@ -32,7 +32,8 @@ def read_robomimic(path: str | Path, split: str | None = None, rate: float | Non
         rate: steps per second [Hz]; None takes the control frequency that the file states.
 
     Raises:
-        EpisodeError: `h5py` is not installed, the file is no such data set, or states no rate where none is given.
+        DependencyError: `h5py` is not installed.
+        EpisodeError: the file is no such data set, or states no rate where none is given.
     """
     try:
         h5py: Any = import_module("h5py")
