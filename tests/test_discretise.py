@@ -55,6 +55,16 @@ def test_an_implicit_equation_takes_the_steps_of_the_explicit_one(method):
     np.testing.assert_allclose(found, stepped(method), rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("method", ["midpoint", "collocation", "cvodes", "idas"])
+def test_equations_that_cannot_be_written_in_scalars_take_the_same_steps(method):
+    mass = ca.vertcat(ca.horzcat(2.0, 0.5), ca.horzcat(0.5, 1.0 + S[0] ** 2))
+    ode = ca.solve(mass, mass @ PENDULUM)  # a node that CasADi factorises at run time
+    with pytest.raises(RuntimeError):
+        ca.Function("ode", [S, U, P], [ode]).expand()
+    f = ca.Function("f", [S, U, P], [discretise(ode, S, step=STEP, method=method)])
+    np.testing.assert_allclose(np.array(f(START, FORCE, GRAVITY)).ravel(), stepped(method), rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
 def test_runge_kutta_is_the_textbook_formula_and_takes_an_expression_as_step(kind):
     s, q = kind.sym("s"), kind.sym("q")

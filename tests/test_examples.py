@@ -19,6 +19,7 @@ PRINTED = {  # closed forms, or the numbers that the data were made with
     "phases.py": r"durations \[2\. 1\.\], top speed 2\.000000",
     "periodic.py": r"and back, to within \de-1\d;",
     "differential_equation.py": r"(?s)midpoint +CONVERGED.*collocation +CONVERGED.*idas +CONVERGED",
+    "direct_collocation.py": r"CONVERGED.*objective 2\.53009",  # as that of the integrator "collocation"
     "torch_layer.py": r"error of the actions [0-9.]+e-03, of the targets 0\.0",
     "own_network.py": r"CONVERGED; torch predicts the same next state, to \de-0[89]",
     "learning.py": r"ratio of the weights 8\.000, true 8\.000; loss 0\.9282 -> [\d.]+e-(1[2-9]|2\d)",

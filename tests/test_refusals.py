@@ -32,6 +32,10 @@ STATEMENTS = {
     "state of numbers": ({"state": np.zeros(2)}, "state must be a symbol, casadi.SX.sym or casadi.MX.sym, got array"),
     "state of words": ({"state": "s"}, "state must be a symbol"),
     "action of an expression": ({"action": 2 * U}, "action must be a column of symbols"),
+    "context of a matrix": (
+        {"context": ca.MX.sym("c", 3, 2)},
+        r"context must be a column of symbols, got MX\(c\) of shape \(3, 2\): use ca.reshape\(column, 3, 2\) of one",
+    ),
     "action of numbers": ({"action": 3.0}, "action must be of the kind of the state, casadi.MX, got 3.0"),
     "context of another kind": ({"context": SX}, "context must be of the kind of the state, casadi.MX"),
     "dynamics of words": ({"dynamics": "s + u"}, "dynamics must be a casadi.MX like the state, got 's \\+ u'"),
@@ -52,6 +56,10 @@ STATEMENTS = {
     "masked bound": (
         {"state_bounds": (np.ma.masked_less(np.array([-1.0, 1.0]), 0), 3)},
         "state_bounds must be an array of numbers; 1 of them masked",
+    ),
+    "bounds of three pairs": (
+        {"state_bounds": [(-1, 1), (-2, 2), (-3, 3)]},
+        r"state_bounds must be \(lower, upper\), not a pair for every entry, got \[\(-1, 1\), ",
     ),
     "bounds of digits": ({"action_bounds": ("-1", "1")}, "action_bounds must be an array of numbers, got '-1'"),
     "soft as a row": ({"soft": Soft(S.T, 1.0)}, r"soft.constraint must be a column, got the shape \(1, 2\)"),
@@ -76,7 +84,7 @@ STATEMENTS = {
         {"state_bounds": [(-1, 1), (-1, 1)]},
         r"state_bounds must be \(lower, upper\), each \(2,\) or \(13, 2\), not a pair for every entry",
     ),
-    "one bound": ({"state_bounds": 1.0}, r"state_bounds must be \(lower, upper\)"),
+    "one bound": ({"state_bounds": 1.0}, r"state_bounds must be \(lower, upper\), not a pair for every entry, got 1.0"),
     "ragged bounds": ({"state_bounds": ([[1], [1, 2]], 3)}, "state_bounds must be an array of numbers"),
     "bound of an unknown symbol": ({"action_bounds": (-1, X)}, "action_bounds depends on x: bounds may depend on"),
     "bound of the state": ({"action_bounds": (-1, S[0])}, "action_bounds depends on s: bounds may depend on"),

@@ -134,7 +134,8 @@ class OCP(Arrays):
             action_bounds, state_bounds, initial_bounds: as in `OCP`, or expressions of parameters, context, stage and
                 static; these become rows of the path constraint, so that they are differentiated.
             static: q (n_q,), decisions that do not change over the horizon, for use in every expression; they are
-                added to the state (`static_of` reads them). s0 may be given without them.
+                added to the state (`static_of` reads them). s0 may be given without them; with them, their values are
+                where a solve without `guess` starts (else at 0, or beside it within the bounds).
             static_bounds: (lower, upper) of q, each a number or (n_q,).
             soft: a constraint that may be violated at a price; its slacks are added to the actions, and one for every
                 row on states alone to the state (`stated` leaves them out).

@@ -16,6 +16,7 @@ from kpirl_ocp.sizes import LONGEST
 _TOLERANCE = 1e-12  # of the equations of an implicit step
 _ADAPTIVE = {"abstol": 1e-11, "reltol": 1e-11}
 _HIGHEST = 9  # degree of collocation in CasADi
+_EXPANDED = 20_000  # scalar operations of the largest equations that are written in them; networks have more
 _METHODS = ("rk4", "midpoint", "collocation", "cvodes", "idas")
 
 
@@ -140,15 +141,24 @@ class _Equations:
         written = equations.call([*(symbols[name] for name in unknowns), *numbers])
         dae = symbols | dict(zip(values, written, strict=True))
         plugin = "collocation" if method == "midpoint" else method
-        integrator = ca.integrator("step", plugin, dae, 0.0, 1.0, _options(method, intervals, degree))
+        options = _options(method, intervals, degree, _in_scalars(equations))
+        integrator = ca.integrator("step", plugin, dae, 0.0, 1.0, options)
         return integrator(x0=self.state, p=p)["xf"]
 
 
-def _options(method: str, intervals: int, degree: int) -> dict[str, Any]:
+def _in_scalars(equations: ca.Function) -> bool:
+    """Whether they can be written in scalar operations, in which CasADi solves and differentiates them much faster."""
+    try:
+        return bool(equations.expand().n_nodes() <= _EXPANDED)
+    except RuntimeError:  # a linear system that is factorised at run time, for example
+        return False
+
+
+def _options(method: str, intervals: int, degree: int, expand: bool) -> dict[str, Any]:
     if method in ("cvodes", "idas"):
-        return dict(_ADAPTIVE)
+        return {**_ADAPTIVE, "expand": expand}
     scheme = {"collocation_scheme": "legendre", "interpolation_order": 1}
     if method == "collocation":
         scheme = {"collocation_scheme": "radau", "interpolation_order": degree}
-    newton = {"rootfinder": "newton", "rootfinder_options": {"abstol": _TOLERANCE}}
+    newton = {"rootfinder": "newton", "rootfinder_options": {"abstol": _TOLERANCE, "expand": expand}}
     return {"number_of_finite_elements": intervals, **scheme, **newton}

@@ -74,7 +74,8 @@ def _symbol(name: str, symbol: Expression | None, kind: Any) -> Expression:
     if type(symbol) is not kind:
         raise ProblemError(f"{name} must be of the kind of the state, casadi.{kind.__name__}, got {shown(symbol)}.")
     if not symbol.is_valid_input() or (symbol.size2() != 1 and symbol.numel()):
-        raise ProblemError(f"{name} must be a column of symbols, got {shown(symbol)} of shape {symbol.shape}.")
+        matrix = "" if symbol.size2() == 1 else f": use ca.reshape(column, {symbol.size1()}, {symbol.size2()}) of one"
+        raise ProblemError(f"{name} must be a column of symbols, got {shown(symbol)} of shape {symbol.shape}{matrix}.")
     return symbol
 
 

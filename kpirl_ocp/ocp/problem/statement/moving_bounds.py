@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.problem.statement.checks import Bounds, bounds_of
+from kpirl_ocp.ocp.problem.statement.checks import Bounds, bounds_of, shown
 from kpirl_ocp.ocp.problem.statement.draft import Draft
 from kpirl_ocp.ocp.problem.statement.expressions import Expression, depends, expression_of
 from kpirl_ocp.types import Array
@@ -53,7 +53,8 @@ def _numbers_and_rows(
     try:
         lower, upper = bounds
     except (TypeError, ValueError) as error:
-        raise ProblemError(f"{name} must be (lower, upper).") from error
+        got = f"not a pair for every entry, got {shown(bounds)}"
+        raise ProblemError(f"{name} must be (lower, upper), {got}.") from error
     numbers, rows = [], []
     for bound, sign in ((lower, -1), (upper, 1)):
         plain, moving = _split(draft, name, bound, shape[-1], sign)
