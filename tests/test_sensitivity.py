@@ -336,3 +336,17 @@ def test_an_acceptable_solution_is_certified_only_near_the_point_that_is_differe
     found = sensitivity(case.problem, stopped, "flag").pull(np.ones_like(moved.states), np.ones_like(moved.actions))
     assert found.certificate.certified is certified
     assert certified or "acceptable" in str(found.certificate)
+
+
+@pytest.mark.parametrize(("p", "certified"), [(1e-4, True), (1e-8, True), (1e-10, False), (1e-12, False)])
+def test_no_solution_is_taken_to_be_known_better_than_to_a_billionth_of_its_decisions(p, certified):
+    """u = sqrt(p) at the minimum of u^3 / 3 - p u, beside an action of one: 1e-9 of both change du/dp by 1e-9 / u."""
+    weight, stage = ca.SX.sym("p"), ca.SX.sym("d")
+    cost = (1 - stage) * (U - 1) ** 2 + stage * (U**3 / 3 - weight * U)
+    given = {"state": S, "action": U, "parameters": weight, "stage": stage, "horizon": 2, "dynamics": S}
+    problem, u = OCP.from_expressions(**given, stage_cost=cost, schedule=[[0], [1], [0]]), np.sqrt(p)
+    plan = Riccati().solve(problem, [0], [p], guess=Trajectory(np.zeros((3, 1)), [[1.0], [u]]))
+    found = sensitivity(problem, plan, "flag").pull(np.zeros((3, 1)), [[0.0], [1.0]])
+    np.testing.assert_allclose(found.psi, 1 / (2 * u), rtol=1e-12)
+    np.testing.assert_allclose(found.certificate.change, np.sqrt(2) * 1e-9 / u, rtol=1e-2)
+    assert found.certificate.certified is certified

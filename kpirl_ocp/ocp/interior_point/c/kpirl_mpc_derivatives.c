@@ -42,22 +42,25 @@ static void forget_start(kpirl_mpc_core *core) {
     gradient[core->bounds.free_entries[i]] = core->d.start_gradient[core->bounds.free_entries[i]];
 }
 
+/* The gradient that functions give, of all but bounds, without the terms of path constraints and equalities. */
+static void find_unconstrained_gradient(kpirl_mpc_core *core) {
+  kpirl_mpc_derivatives *d = &core->d;
+  const int bounds = kpirl_mpc_n_bounds(core), m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+  int i;
+  memcpy(d->unconstrained_gradient, d->gradient, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
+  for (i = bounds; i < m; ++i) core->scratch[i - bounds] = -core->at.z[i];
+  kpirl_mpc_path_transposed_times(core, core->scratch, d->unconstrained_gradient);
+  for (i = core->n_fixed; i < n_c; ++i) core->scratch[i - core->n_fixed] = -core->at.nu[i];
+  kpirl_mpc_equality_transposed_times(core, core->scratch, d->unconstrained_gradient);
+}
+
 void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level) {
   const kpirl_mpc_iterate *at = &core->at;
   kpirl_mpc_derivatives *d = &core->d;
-  const int n_w = kpirl_mpc_n_point(core), bounds = kpirl_mpc_n_bounds(core), m = kpirl_mpc_n_inequalities(core);
-  const int n_c = kpirl_mpc_n_equalities(core);
   core->factored = 0;
   kpirl_mpc_evaluate(core, level);
   d->matrices = level == KPIRL_MPC_SECOND;
-  if (d->matrices) {
-    int i;
-    memcpy(d->unconstrained_gradient, d->gradient, (size_t)n_w * sizeof(real));
-    for (i = bounds; i < m; ++i) core->scratch[i - bounds] = -at->z[i];
-    kpirl_mpc_path_transposed_times(core, core->scratch, d->unconstrained_gradient);
-    for (i = core->n_fixed; i < n_c; ++i) core->scratch[i - core->n_fixed] = -at->nu[i];
-    kpirl_mpc_equality_transposed_times(core, core->scratch, d->unconstrained_gradient);
-  }
+  if (d->matrices) find_unconstrained_gradient(core);
   kpirl_mpc_bounds_transposed_times(core, at->z, at->nu, d->gradient);
   forget_start(core);
   kpirl_mpc_gap(core, at->x, d->gap);

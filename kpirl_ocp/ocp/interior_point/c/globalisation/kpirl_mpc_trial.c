@@ -18,14 +18,15 @@ static real rounding(const kpirl_mpc_core *core, int row) {
   return 4 * KPIRL_MPC_EPSILON * kpirl_mpc_abs(core->at.x[kpirl_mpc_bounded_entry(core, row)]);
 }
 
-/* Would the whole Newton step leave nothing, up to rounding, of a slack below the tolerance? One that decisions move stays near tau / z. */
+/* Would the whole Newton step leave nothing, up to rounding, of a slack below the tolerance? One that decisions move stays near
+ * tau / z. */
 static int is_used_up(const kpirl_mpc_core *core, int row) {
   const real y = core->trial.y[row], z = core->trial.z[row]; /* before the step */
   const real left = kpirl_mpc_max(kpirl_mpc_abs(y + core->step.change.y[row]) - rounding(core, row), 0);
   return core->at.y[row] < (real)core->options.tolerance && left <= NOTHING * y && left * z <= NOTHING * core->step.tau;
 }
 
-/* The slack of a row where g is its value: as the linearisation leaves it, of h at least what is left of it; without interior it stays. */
+/* The slack of a row where g is its value: as the linearisation leaves it, of h at least -g; one without interior stays. */
 static real trial_slack(const kpirl_mpc_core *core, int row, real length, real g) {
   const real before = core->d.g[row], y = core->at.y[row], dy = core->step.change.y[row], room = kpirl_mpc_room(core, before, y);
   if (room > 0 && kpirl_mpc_abs(dy) <= STILL * y) return y;
@@ -33,45 +34,58 @@ static real trial_slack(const kpirl_mpc_core *core, int row, real length, real g
   return (1 - length) * (before + y - room) + room - g;
 }
 
-/* Lifted: x + length dx, as in multiple shooting, with the defects that the dynamics leave there. Else along the dynamics. */
+/* Lifted: x + length dx, as in multiple shooting, with the defects that the dynamics leave there. Else along the dynamics. Returns
+ * the violation of the dynamics. */
+static real move(kpirl_mpc_core *core, real length, int lifted, real *objective, real *path, real *equality) {
+  const int n_defects = DIM(core, horizon) * DIM(core, n_states), n_w = kpirl_mpc_n_point(core);
+  kpirl_mpc_iterate *trial = &core->trial;
+  int i;
+  if (!lifted) {
+    kpirl_mpc_feedback_rollout(core, length, objective, path, equality);
+    return (1 - length) * kpirl_mpc_norm_1(core->d.defects, n_defects);
+  }
+  for (i = 0; i < n_w; ++i) trial->x[i] = core->at.x[i] + length * core->step.change.x[i];
+  kpirl_mpc_evaluate_values(core, trial->x, objective, trial->costates, path, equality);
+  return kpirl_mpc_norm_1(trial->costates, n_defects);
+}
+
+/* Slacks where g are the values of inequalities; violation += their residuals. Returns whether one has come too close to zero. */
+static int find_slacks(kpirl_mpc_core *core, real length, const real *g, real *violation) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  const real least = REMAINDER * (1 - core->step.share), *before = core->at.y;
+  real *y = core->trial.y;
+  int i, outside = 0;
+  for (i = 0; i < m; ++i) {
+    if (kpirl_mpc_is_elastic(core, i)) {
+      y[i] = before[i];
+      continue;
+    }
+    y[i] = trial_slack(core, i, length, g[i]);
+    *violation += kpirl_mpc_abs(kpirl_mpc_slack_residual(core, g[i], y[i]));
+    outside |= y[i] < least * before[i];
+  }
+  return outside;
+}
+
 void kpirl_mpc_trial_point(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit) {
-  const kpirl_mpc_derivatives *d = &core->d;
   const kpirl_mpc_iterate *at = &core->at, *change = &core->step.change;
   kpirl_mpc_iterate *trial = &core->trial;
-  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_w = kpirl_mpc_n_point(core);
-  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core), bounds = kpirl_mpc_n_bounds(core);
-  const real least = REMAINDER * (1 - core->step.share);
-  real *path = core->force + bounds, *equality = trial->nu + core->n_fixed, *g = trial->z;
-  real objective = 0, theta, penalty;
-  int i, outside = 0;
-  if (lifted) {
-    for (i = 0; i < n_w; ++i) trial->x[i] = at->x[i] + length * change->x[i];
-    kpirl_mpc_evaluate_values(core, trial->x, &objective, trial->costates, path, equality);
-    theta = kpirl_mpc_norm_1(trial->costates, T * n_s);
-  } else {
-    kpirl_mpc_feedback_rollout(core, length, &objective, path, equality);
-    theta = (1 - length) * kpirl_mpc_norm_1(d->defects, T * n_s);
-  }
+  const int n_s = DIM(core, n_states), n_costates = DIM(core, horizon) * n_s, n_c = kpirl_mpc_n_equalities(core);
+  real *path = core->force + kpirl_mpc_n_bounds(core), *equality = trial->nu + core->n_fixed, *g = trial->z;
+  real objective, theta = move(core, length, lifted, &objective, path, equality), penalty;
+  int i, outside;
   kpirl_mpc_gap(core, trial->x, core->start);
   theta += kpirl_mpc_norm_1(core->start, n_s);
   kpirl_mpc_equalities(core, trial->x, equality, trial->nu);
   if (core->penalty <= 0) theta += kpirl_mpc_norm_1(trial->nu, n_c);
   kpirl_mpc_inequalities(core, trial->x, path, g);
   penalty = core->penalty > 0 ? kpirl_mpc_penalty(core, g, trial->nu) : 0;
-  for (i = 0; i < m; ++i) {
-    if (kpirl_mpc_is_elastic(core, i)) {
-      trial->y[i] = at->y[i];
-      continue;
-    }
-    trial->y[i] = trial_slack(core, i, length, g[i]);
-    theta += kpirl_mpc_abs(kpirl_mpc_slack_residual(core, g[i], trial->y[i]));
-    outside |= trial->y[i] < least * at->y[i];
-  }
+  outside = find_slacks(core, length, g, &theta);
   if (core->failed) theta = (real)NAN; /* outside the domain of a function: no place to go */
   core->failed = 0;
   merit->theta = theta;
   merit->phi = outside ? (real)INFINITY : objective + penalty - core->step.tau * kpirl_mpc_hard_log_sum(core, trial->y);
-  for (i = 0; i < T * n_s; ++i) trial->costates[i] = at->costates[i] + length * change->costates[i];
+  for (i = 0; i < n_costates; ++i) trial->costates[i] = at->costates[i] + length * change->costates[i];
   if (core->penalty <= 0)
     for (i = 0; i < n_c; ++i) trial->nu[i] = at->nu[i] + length * change->nu[i];
 }

@@ -48,6 +48,7 @@ static inline real kpirl_mpc_room(const kpirl_mpc_core *core, real g, real y) {
 static inline real kpirl_mpc_slack_residual(const kpirl_mpc_core *core, real g, real y) {
   return g + y - kpirl_mpc_room(core, g, y);
 }
+/* The point at a length of the step, lifted or along the dynamics, into core->trial, with its violation and barrier function. */
 void kpirl_mpc_trial_point(kpirl_mpc_core *core, real length, int lifted, kpirl_mpc_merit *merit);
 real kpirl_mpc_shortened(const kpirl_mpc_core *core, real length);
 void kpirl_mpc_centre(kpirl_mpc_core *core);

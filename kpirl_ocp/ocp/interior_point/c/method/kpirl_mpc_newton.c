@@ -41,14 +41,10 @@ static int all_positive(const real *pivots, int count) {
   return 1;
 }
 
-int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
-  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_x = n_s + n_u;
-  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
-  const int n_free = core->bounds.n_free, n_w = kpirl_mpc_n_point(core);
-  kpirl_mpc_factors *factors = &core->factors;
-  real *diagonal = core->right;
-  int i, t;
-  core->factored = 0;
+/* The weights z / y and 1 / delta; and what those of bounds, and the regularisation, add to the diagonal (n_w). */
+static void find_weights(kpirl_mpc_core *core, real regularisation, real *diagonal) {
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core), n_w = kpirl_mpc_n_point(core);
+  int i;
   memset(diagonal, 0, (size_t)n_w * sizeof(real));
   for (i = 0; i < m; ++i) core->weights[i] = core->at.z[i] / core->at.y[i];
   for (i = 0; i < core->n_lower; ++i) diagonal[core->lower[i]] += core->weights[i];
@@ -56,6 +52,16 @@ int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
   for (i = 0; core->penalty <= 0 && i < n_c; ++i) core->stiffness[i] = 1 / KPIRL_MPC_PROXIMAL;
   for (i = 0; i < core->n_fixed; ++i) diagonal[core->fixed[i]] += core->stiffness[i];
   for (i = 0; i < n_w; ++i) diagonal[i] += regularisation;
+}
+
+int kpirl_mpc_factorise(kpirl_mpc_core *core, real regularisation) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_u = DIM(core, n_actions), n_x = n_s + n_u;
+  const int n_free = core->bounds.n_free;
+  kpirl_mpc_factors *factors = &core->factors;
+  real *diagonal = core->right;
+  int t;
+  core->factored = 0;
+  find_weights(core, regularisation, diagonal);
   condense(core, T, diagonal, factors->P + T * n_s * n_s);
   kpirl_mpc_mirror(factors->P + T * n_s * n_s, n_s);
   for (t = T - 1; t >= 0; --t) {
