@@ -1,5 +1,6 @@
 """Derivatives of solutions by psi, s_0 and the context: against one dense KKT matrix, and against each other."""
 
+import ctypes
 from dataclasses import replace
 from functools import lru_cache
 
@@ -289,3 +290,29 @@ def test_qualification_of_a_row_beside_actions_at_their_bounds_is_that_of_the_an
     assert certificate.active.sum() == 2
     np.testing.assert_allclose(certificate.qualification, np.sqrt(1 - share), rtol=1e-6)
     assert certificate.certified is (share < 1)
+
+
+def test_the_lanczos_method_keeps_its_basis_orthonormal_where_products_hardly_differ():
+    """A = I + 1e-9 D: what a product adds to the basis is 1e-9 of it, so that one orthogonalisation leaves 1e-7."""
+    n, most = 8, 5
+    rng = np.random.default_rng(0)
+    eigenvalues, start = 1 + 1e-9 * rng.normal(size=n), rng.normal(size=n)
+    vector, basis, error = start.copy(), np.zeros((most + 1, n)), ctypes.c_double()
+
+    @ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_double))
+    def product(_, v, result):
+        for i in range(n):
+            result[i] = eigenvalues[i] * v[i]
+
+    lanczos = ctypes.CDLL(c.library()._name).kpirl_mpc_lanczos
+    lanczos.argtypes, lanczos.restype = (
+        [*[ctypes.c_void_p] * 2, *[ctypes.c_int] * 3, *[ctypes.c_void_p] * 3],
+        ctypes.c_double,
+    )
+    arrays = vector.ctypes.data, basis.ctypes.data, ctypes.addressof(error)
+    value = lanczos(ctypes.cast(product, ctypes.c_void_p), None, n, most, 1, *arrays)
+    known = basis[:-1][np.linalg.norm(basis[:-1], axis=1) > 0]
+    assert len(known) == 3  # enough for a first digit
+    np.testing.assert_allclose(known @ known.T, np.eye(3), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(value, eigenvalues.max(), rtol=1e-9)
+    np.testing.assert_allclose(basis[-1], eigenvalues * vector, rtol=0, atol=1e-14)

@@ -350,3 +350,20 @@ def test_no_solution_is_taken_to_be_known_better_than_to_a_billionth_of_its_deci
     np.testing.assert_allclose(found.psi, 1 / (2 * u), rtol=1e-12)
     np.testing.assert_allclose(found.certificate.change, np.sqrt(2) * 1e-9 / u, rtol=1e-2)
     assert found.certificate.certified is certified
+
+
+@pytest.mark.parametrize(("slack", "others_off"), [(1.0, 0.0), (1.0, 1e-3), (3.0, 0.0), (3.0, 1e-3)])
+def test_newton_steps_do_not_cross_a_barrier(slack, others_off):
+    """The minimum of p u - tau log u is at tau / p. From 3 tau / p a Newton step leads to -3 tau / p, where the second
+    derivative is the same; beside a longer step of another action it is a short one."""
+    u, p, tau = ca.SX.sym("u", 2), ca.SX.sym("p"), 1e-10
+    bounds = [0, -np.inf], [np.inf, np.inf]
+    given = {"state": S, "action": u, "parameters": p, "horizon": 1, "dynamics": S, "action_bounds": bounds}
+    problem = OCP.from_expressions(**given, stage_cost=p * u[0] + (u[1] - 1) ** 2 / 2)
+    plan = Riccati(barrier=tau).solve(problem, [0], [1], guess=Trajectory(np.zeros((2, 1)), [[tau, 1.0]]))
+    moved = Trajectory(plan.states, np.array([[slack * tau, 1.0 + others_off]]))
+    at = sensitivity(problem, replace(plan, trajectory=moved), "flag")
+    found = at.pull(np.zeros((2, 1)), [[1.0, 0.0]])
+    assert at.plan[1] == pytest.approx(slack * tau)
+    assert found.certificate.certified is (slack == 1.0)
+    assert not found.certificate.certified or found.psi[0] == pytest.approx(-tau)

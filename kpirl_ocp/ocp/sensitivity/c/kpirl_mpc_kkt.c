@@ -111,12 +111,6 @@ static const real *take_hessian(const kpirl_mpc_system *s, const real *lower, re
   return place;
 }
 
-static void bound_slack(const kpirl_mpc_kkt *k, real *slack) {
-  const kpirl_mpc_system *s = &k->system;
-  int i;
-  for (i = 0; i < s->n_bounds; ++i) slack[i] = s->signs[i] * (k->rows->limits[i] - k->point.x[s->entries[i]]);
-}
-
 static void take_values(kpirl_mpc_kkt *k, const kpirl_mpc_view *from) {
   const kpirl_mpc_system *s = &k->system;
   const int n_path = s->horizon * s->n_path + s->n_terminal, m = kpirl_mpc_system_n_rows(s);
@@ -124,7 +118,7 @@ static void take_values(kpirl_mpc_kkt *k, const kpirl_mpc_view *from) {
   k->objective = from->objective;
   memcpy(k->gradient, from->gradient, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
   memcpy(k->defects, from->defects, (size_t)(s->horizon * s->n_states) * sizeof(real));
-  bound_slack(k, k->slack);
+  for (i = 0; i < s->n_bounds; ++i) k->slack[i] = s->signs[i] * (k->rows->limits[i] - k->point.x[s->entries[i]]);
   for (i = 0; i < n_path; ++i) k->slack[s->n_bounds + i] = -from->path[i];
   for (i = s->n_bounds + n_path; i < m; ++i) k->slack[i] = -from->equality[i - s->n_bounds - n_path];
   k->evaluated = 1;
@@ -256,16 +250,12 @@ void kpirl_mpc_by_stage(const kpirl_mpc_dimensions *of, const real *states, cons
   }
 }
 
-static void find_bound_forces(kpirl_mpc_kkt *k, const real *net, real *slack) {
+static void find_bound_forces(kpirl_mpc_kkt *k, const real *net) {
   const kpirl_mpc_system *s = &k->system;
   int i;
-  bound_slack(k, slack);
   for (i = 0; i < s->n_bounds; ++i) {
-    const int other = k->rows->other[i], twice = other != i;
     const real own = s->signs[i] * net[s->entries[i]];
-    k->point.forces[i] = twice && own < 0 ? 0 : own;
-    if (k->barrier > 0 && twice && k->rows->inequality[i])
-      k->point.forces[i] = slack[i] > slack[other] ? k->barrier / slack[i] : own + k->barrier / slack[other];
+    k->point.forces[i] = k->rows->other[i] != i && own < 0 ? 0 : own;
   }
 }
 
@@ -279,7 +269,7 @@ void kpirl_mpc_kkt_set_solution(kpirl_mpc_kkt *k, const real *solution) {
   kpirl_mpc_by_stage(&k->dimensions, solution, actions, k->point.x);
   memcpy(k->point.costates, costates, (size_t)n_c * sizeof(real));
   kpirl_mpc_by_stage(&k->dimensions, of_states, of_actions, net);
-  find_bound_forces(k, net, net + kpirl_mpc_system_n_point(s));
+  find_bound_forces(k, net);
   memcpy(k->point.forces + s->n_bounds, of_rows, (size_t)(kpirl_mpc_system_n_rows(s) - s->n_bounds) * sizeof(real));
 }
 

@@ -101,8 +101,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *kkt, const kpirl_mpc_dimensions *dimens
 
 /* A solution as kkt->point: S (T+1, n_s), U (T, n_u), and the multipliers of the dynamics (T, n_s), of the bounds of S and U, positive
  * at an upper and negative at a lower one, of h, h_T, e and e_T, row by row, one array after the other. Of the two sides of a
- * bound, the force is on the one that pushes; with a barrier both push, and only their difference is known: the further one
- * pushes with tau / slack, the nearer one with the rest. */
+ * bound, the force is on the one that pushes; with a barrier, `pushing` has those of both. */
 void kpirl_mpc_kkt_set_solution(kpirl_mpc_kkt *kkt, const real *solution);
 
 /* Derivatives at kkt->point: evaluated by a core; or set to known ones, whose matrices must stay. path: h and h_T; equality:

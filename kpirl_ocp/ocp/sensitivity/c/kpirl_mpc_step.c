@@ -214,6 +214,7 @@ real kpirl_mpc_kkt_change(const kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, const r
   const kpirl_mpc_system *s = &k->system;
   kpirl_mpc_system there = nearby->system;
   kpirl_mpc_triple right;
+  if (!inside(nearby)) return (real)INFINITY;
   kpirl_mpc_place_triple(s, nearby->work, &right);
   memset(right.x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
   memcpy(right.x, r, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
