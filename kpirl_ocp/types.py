@@ -126,7 +126,10 @@ class Status(Enum):
     ITERATION_LIMIT = "the iteration limit was reached. Raise max_iterations, or pass a better guess."
     INFEASIBLE = "no feasible point was found nearby. Relax the bounds or path constraints, or pass another guess."
     STALLED = "no further progress was possible. Rescale the problem, smooth its kinks, or pass another guess."
-    DIVERGED = "the iterates diverged, or left the domain of a function. Use a smaller step size, or add effort weight."
+    DIVERGED = (
+        "the iterates diverged, or left the domain of a function. Add effort weight or bounds, so that the cost has a "
+        "minimum; of GradientDescent, use a smaller step_size."
+    )
     NOT_FINITE = "a function returned NaN or infinity. Check s0, psi, context, the guess, and dynamics and costs there."
     FAILED = "the solver gave up; its own message says why."
     NOT_A_MINIMUM = (

@@ -39,7 +39,8 @@ ORDER = {
     ],
     "irl": [
         ("hypergradients", "cases"),
-        ("learning", "identifiability"),
+        ("learning",),
+        ("identifiability",),
         ("baselines",),
         ("visual",),
     ],

@@ -316,3 +316,24 @@ def test_nothing_to_learn_gives_an_empty_gradient(method: str) -> None:
     result = evaluate((METHODS | {"smooth": lambda _: Implicit(policy="smooth")})[method](case), case)
     assert (result.gradient.shape, result.loss > 0) == ((0,), True)
     assert result.certificate.certified
+
+
+@pytest.mark.parametrize("horizon", [10, 20, 35])
+@pytest.mark.parametrize("steps", [50, 150, 400])
+def test_steps_that_diverge_on_a_smooth_problem_say_to_take_smaller_ones_and_find_no_kink(horizon, steps):
+    """Up to losses of 1e171, then infinite ones of plans up to 1e255, then NaN."""
+    s, u, weight = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("psi")
+    cost = weight * s**2
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        parameters=weight,
+        dynamics=s + u,
+        stage_cost=cost + u**2,
+        terminal_cost=cost,
+        horizon=horizon,
+    )
+    seen = Demonstration([1.0], [], np.zeros((horizon + 1, 1)))
+    found = Unrolled(GradientDescent(steps, 0.05), policy="flag")(problem, seen, [1.0]).certificate
+    assert any("smaller steps (`step_size`)" in sentence for sentence in found.failures)
+    assert not any("kink" in sentence for sentence in found.failures)

@@ -141,6 +141,21 @@ def test_two_weights_of_one_step_are_known_up_to_their_common_scale_alone():
     np.testing.assert_allclose(across, [[-1.645 * 0.01 * (Q + R) ** 2 / 3, 1.645 * 0.01 * (Q + R) ** 2 / 3]], rtol=1e-3)
 
 
+def test_demonstrations_of_several_lengths_add_up_their_information():
+    """s_{t+1} = psi s_t has the plan psi^t, and its derivative is t psi^(t-1)."""
+
+    def growth(horizon):
+        s, psi = ca.SX.sym("s"), ca.SX.sym("psi")
+        return OCP.from_expressions(state=s, parameters=psi, dynamics=psi * s, horizon=horizon)
+
+    seen = [Demonstration([1.0], [], (0.9 ** np.arange(T + 1))[:, None]) for T in (3, 5)]
+    found = identify(growth, seen, [0.9], noise=0.1)
+    alone = np.array([sum((t * 0.9 ** (t - 1)) ** 2 for t in range(1, T + 1)) for T in (3, 5)])
+    np.testing.assert_allclose(found.information, [[alone.sum()]], rtol=1e-12)
+    gains = 0.5 * np.log1p(alone * found.posterior[0, 0] / 0.1**2)
+    np.testing.assert_allclose(expected_information(growth, found, seen), gains, rtol=1e-9)
+
+
 @pytest.mark.parametrize(("share", "bounded"), [(1e-8, True), (1e-4, False)])
 def test_an_interval_is_infinite_as_soon_as_a_combination_has_a_part_that_nothing_determines(share, bounded):
     found = identify(one_step(), [planned()], [Q, R], noise=0.01)

@@ -67,7 +67,8 @@ def test_demonstrations_of_different_lengths_recover_the_cost():
 def test_horizons_that_do_not_fit_are_refused():
     with pytest.raises(ProblemError, match="the problem for the horizon 6 has the horizon 7"):
         quiet(lambda horizon: mass(horizon + 1), [demonstrate(6)], START, Implicit())
-    with pytest.raises(ProblemError, match=r"observations must be \(T\+1, n_z\) = \(8, 2\)"):
+    hint = r"= \(8, 2\), got \(7, 2\); for demonstrations of other lengths, `learn` takes a function T -> problem"
+    with pytest.raises(ProblemError, match=r"observations must be \(T\+1, n_z\) " + hint):
         quiet(mass(7), [demonstrate(6)], START, Implicit())
 
 
@@ -222,7 +223,8 @@ def test_bounds_on_psi_are_kept():
     result = quiet(mass(8), [demonstrate(8)], START, Implicit(), LBFGS(), steps=20, bounds=([0.6, 0.0], np.inf))
     assert result.psi[0] == 0.6
     assert (result.psis >= [0.6, 0.0]).all()
-    with pytest.raises(ProblemError, match="psi0 must lie within the bounds"):
+    refused = r"psi0 must lie within the bounds \(lower, upper\): psi0\[0\] is 1, the nearest that does 2"
+    with pytest.raises(ProblemError, match=refused):
         quiet(mass(8), [demonstrate(8)], START, Implicit(), bounds=(2.0, 3.0))
 
 

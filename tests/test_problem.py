@@ -191,7 +191,7 @@ INCONSISTENT = {  # what is wrong: the change, the message
     "NaN bound": ({"state_bounds": (np.nan, 1)}, "state_bounds must be numbers"),
     "NaN upper bound": ({"action_bounds": (0, [1, np.nan])}, "action_bounds must be numbers"),
     "bounds of another length": ({"state_bounds": (np.zeros(2), 1)}, r"state_bounds must be .*\(3,\)"),
-    "words as bounds": ({"state_bounds": ("low", "high")}, r"state_bounds must be \(lower, upper\)"),
+    "words as bounds": ({"state_bounds": ("low", "high")}, "state_bounds must be an array of numbers, got 'low'"),
     "three bounds": ({"action_bounds": (0, 1, 2)}, r"action_bounds must be \(lower, upper\)"),
 }
 

@@ -38,10 +38,18 @@ def demonstrated_observations(problem: OCP, demonstration: Demonstration) -> Arr
         raise ProblemError("the demonstration was observed at some frames only: use loss=KeyFrames().")
     found = demonstration.observations.shape
     if found != expected:
-        states = found == (problem.horizon + 1, problem.n_states)
-        hint = ": these may be states, whose observations are problem.observe(states.T).full().T" if states else ""
+        hint = _mended(problem, found)
         raise ProblemError(f"the demonstration's observations must be (T+1, n_z) = {expected}, got {found}{hint}.")
     return demonstration.observations.T
+
+
+def _mended(problem: OCP, found: tuple[int, ...]) -> str:
+    """A hint for observations of another shape, if there is one."""
+    if found == (problem.horizon + 1, problem.n_states):
+        return ": these may be states, whose observations are problem.observe(states.T).full().T"
+    if found[1:] == (problem.n_observations,):
+        return "; for demonstrations of other lengths, `learn` takes a function T -> problem"
+    return ""
 
 
 def squared_distance(problem: OCP) -> ca.Function:

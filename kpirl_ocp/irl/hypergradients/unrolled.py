@@ -196,6 +196,8 @@ def _certified(descent: Descent, last: int, output: Array, wrong: tuple[str, ...
     gentle = last == descent.solver.steps and sweep.steady and has_affine_steps(problem, descent.loss, sweep.clear)
     if gentle and nearly_constant_in_psi(problem, solution, STEP * direction(descent.psi)):
         return sweep.result(0.0, wrong)
+    if nonfinite_failures(sweep.loss, sweep.gradient):
+        return sweep.result(math.nan, wrong)  # no slopes to compare
     at = LossAt(problem, descent.loss, descent.observed.T, _plan(solution))
     kink = descent.kink(sweep.loss, sweep.gradient, sweep.terms(at))
     return sweep.result(kink, (*wrong, *at.kinks(), *parameter_kinks(problem, solution)))
@@ -278,7 +280,7 @@ def _failures(
 ) -> list[str]:
     failures = nonfinite_failures(loss, gradient)
     if not math.isfinite(solution.objective):
-        failures.append("The inner cost is NaN or infinite: look at the solution's status and the cost.")
+        failures.append("The inner cost is NaN or infinite: take smaller steps (`step_size`), or look at the cost.")
     if left_out and not remainder <= _REMAINDER:
         failures.append(f"Truncated: the first {left_out} steps are left out, with {remainder:.1e} of the adjoint.")
     if not left_out and remainder > _GROWTH:

@@ -16,12 +16,12 @@ import numpy as np
 from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 from kpirl_ocp.irl.identifiability.identify import Identification
 from kpirl_ocp.irl.identifiability.plan_jacobian import CONVERGED, plan_jacobian
-from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.irl.learning.horizons import Problems, problems_of
 from kpirl_ocp.types import Array, Demonstration
 
 
 def expected_information(
-    problem: OCP,
+    problem: Problems,
     found: Identification,
     candidates: Sequence[Demonstration],
     method: Hypergradient = CONVERGED,
@@ -39,7 +39,7 @@ def expected_information(
     """
     root = np.linalg.cholesky(found.posterior + 1e-15 * found.spread @ found.spread.T) / found.noise
     gains = []
-    for candidate in candidates:
-        jacobian = plan_jacobian(problem, candidate, found.psi, method).jacobian @ root
+    for own, candidate in zip(problems_of(problem, candidates), candidates, strict=True):
+        jacobian = plan_jacobian(own, candidate, found.psi, method).jacobian @ root
         gains.append(0.5 * np.log1p(np.linalg.svd(jacobian, compute_uv=False) ** 2).sum())
     return np.array(gains)

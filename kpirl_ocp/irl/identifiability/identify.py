@@ -25,7 +25,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
 from kpirl_ocp.irl.hypergradients.loss import demonstrated_observations
 from kpirl_ocp.irl.identifiability.plan_jacobian import CONVERGED, plan_jacobian
-from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.irl.learning.horizons import Problems, problems_of
 from kpirl_ocp.ocp.problem.statement.checks import number, numbers, shown, vector
 from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration, Mask
@@ -135,7 +135,7 @@ class Identification(Brief):
 
 
 def identify(
-    problem: OCP,
+    problem: Problems,
     demonstrations: Sequence[Demonstration],
     psi: ArrayLike,
     spread: ArrayLike = 1.0,
@@ -145,7 +145,7 @@ def identify(
     """Evidence of demonstrations about a learned psi (n_psi,).
 
     Args:
-        problem: whose plans imitate the demonstrations.
+        problem: whose plans imitate the demonstrations; or a function T -> problem, as in `learn`.
         demonstrations: that psi was learned from.
         psi: (n_psi,), near the minimum of the IRL loss.
         spread: standard deviations of psi before learning, a number or (n_psi,); or S (n_psi, n_psi), see
@@ -158,22 +158,20 @@ def identify(
         ProblemError: no demonstrations, a spread or noise that is not positive, or too few observations to estimate
             the noise from.
     """
-    if not isinstance(problem, OCP):
-        raise ProblemError(f"problem must be an OCP, got {shown(problem)}.")
-    if not problem.n_parameters:
-        raise ProblemError("problem must have parameters: there is nothing to identify.")
     if not isinstance(demonstrations, Sequence) or not all(isinstance(one, Demonstration) for one in demonstrations):
         raise ProblemError(f"demonstrations must be a sequence of Demonstration, got {shown(demonstrations)}.")
     if not demonstrations:
         raise ProblemError("identify needs at least one demonstration.")
-    psi = vector("psi", psi, problem.n_parameters)
+    problems = problems_of(problem, demonstrations)
+    if not problems[0].n_parameters:
+        raise ProblemError("problem must have parameters: there is nothing to identify.")
+    psi = vector("psi", psi, problems[0].n_parameters)
     units = _spread(spread, len(psi))
     given = None if noise is None else _noise(noise)
-    plans = [plan_jacobian(problem, demonstration, psi, method) for demonstration in demonstrations]
-    pairs = zip(plans, demonstrations, strict=True)
-    residuals = np.concatenate(
-        [demonstrated_observations(problem, demo).T[1:].ravel() - plan.observations for plan, demo in pairs]
-    )
+    pairs = list(zip(problems, demonstrations, strict=True))
+    plans = [plan_jacobian(own, demonstration, psi, method) for own, demonstration in pairs]
+    seen = [demonstrated_observations(own, demonstration).T[1:].ravel() for own, demonstration in pairs]
+    residuals = np.concatenate(seen) - np.concatenate([plan.observations for plan in plans])
     jacobian = np.vstack([plan.jacobian for plan in plans])
     if not (np.isfinite(jacobian).all() and np.isfinite(residuals).all()):
         raise ProblemError(f"psi must have plans that are finite and can be differentiated; {shown(psi)} has none.")

@@ -83,8 +83,10 @@ class Learner:
     def init(self, psi0: ArrayLike) -> LearningState:
         """Evaluate psi0 (n_psi,)."""
         psi = psi_of(psi0, self.problems[0].n_parameters)
-        if not np.array_equal(self._box.project(psi), psi):
-            raise ProblemError("psi0 must lie within the bounds.")
+        within = self._box.project(psi)
+        for i in np.flatnonzero(within != psi):
+            at = f"psi0[{i}] is {psi[i]:g}, the nearest that does {within[i]:g}"
+            raise ProblemError(f"psi0 must lie within the bounds (lower, upper): {at}.")
         point = self.evaluate(psi)
         return LearningState(point, self.optimiser.start(self._scaled(point)), point)
 

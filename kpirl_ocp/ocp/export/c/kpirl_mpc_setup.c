@@ -30,7 +30,7 @@ const char *kpirl_mpc_message(kpirl_mpc_status status) {
     case KPIRL_MPC_ITERATION_LIMIT: return "the iteration limit was reached. Raise it, or pass a better guess.";
     case KPIRL_MPC_INFEASIBLE: return "no feasible point was found nearby. Relax the constraints, or pass another guess.";
     case KPIRL_MPC_STALLED: return "no further progress was possible. Rescale the problem, or pass another guess.";
-    case KPIRL_MPC_DIVERGED: return "the iterates diverged. Use a smaller step size, or add effort weight.";
+    case KPIRL_MPC_DIVERGED: return "the iterates diverged. Add effort weight or bounds, or use a smaller step size.";
     case KPIRL_MPC_NOT_FINITE: return "a function returned NaN or infinity. Check dynamics and costs at the guess.";
     case KPIRL_MPC_FAILED: return "the solver could not go on. Pass another guess.";
     case KPIRL_MPC_TIME_LIMIT: return "the time limit was reached; the plan is as far as the solver got.";
