@@ -1,10 +1,11 @@
 """Dense products and tanh in generated C, written so that a compiler turns them into vector instructions.
 
 CasADi's own `casadi_mtimes_dense`, z += x y, runs along rows and cannot be vectorised. This one keeps a tile of z, some
-vectors of rows times up to five columns, in registers while it walks along the columns of x. An entry of z sums its
-products in the order of CasADi's virtual machine, so that the results are equal to the last bit, except
-where several partial sums hide the latency of low tiles; there, results differ by rounding. NaN and infinity propagate
-as in any sum, and through tanh, which is exact to two units in the last place.
+vectors of rows times up to five columns, in registers while it walks along the columns of x. Every shape that occurs
+has a function of its own, in which the compiler knows all sizes. An entry of z sums its products in the order of
+CasADi's virtual machine, so that the results are equal to the last bit, except where several partial sums hide the
+latency of low tiles; there, results differ by rounding. NaN and infinity propagate as in any sum, and through tanh,
+which is exact to two units in the last place.
 """
 
 from __future__ import annotations
@@ -15,73 +16,79 @@ from kpirl_ocp.ocp.codegen.array_kernels import COPY, LARGER, LARGEST, LEAST, SM
 from kpirl_ocp.ocp.codegen.certain_calls import with_certain_calls
 from kpirl_ocp.ocp.codegen.copy_elision import with_fewer_copies
 
-_KERNEL = r"""
-#if defined(__AVX512F__)
-#define TILE_LANES 8
-#define TILE_VECTORS 4
-#else
-#define TILE_LANES 4
-#define TILE_VECTORS 2
-#endif
-#define HALF_LANES 4
-#define UNROLL _Pragma("GCC unroll 8")
-/* Unaligned vectors of doubles; a compiler without that width splits them. */
-typedef casadi_real tile_vector __attribute__((vector_size(TILE_LANES * sizeof(casadi_real)), aligned(8), may_alias));
-typedef casadi_real half_vector __attribute__((vector_size(HALF_LANES * sizeof(casadi_real)), aligned(8), may_alias));
-
-/* rows first .. end of `columns` columns, as vectors of which the last overlaps its neighbour if it has to;
+_TILES = r"""/* rows first .. end of `columns` columns, as vectors of which the last overlaps its neighbour if need be;
    `chains` partial sums hide the latency of a tile that is low */
-static inline __attribute__((always_inline)) void kernel_tile(const int vectors, const int columns, const int chains,
-    const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x, const casadi_real* y, const casadi_real* start,
-    casadi_real* z, casadi_int first, casadi_int end) {
-  tile_vector sum[5][8];
-  casadi_int row[8], k = 0;
+static INLINE void kernel_@kind@(const int vectors, const int columns, const int chains, const casadi_real* x,
+    casadi_int nrow_x, casadi_int ncol_x, const casadi_real* y, const casadi_real* start, casadi_real* z,
+    casadi_int first, casadi_int end) {
+  @kind@_vector sum[5][MOST_VECTORS];
+  casadi_int row[MOST_VECTORS], k = 0;
   int v, c, p;
-  UNROLL for (v = 0; v < vectors; ++v) row[v] = v < vectors - 1 ? first + v * TILE_LANES : end - TILE_LANES;
+  UNROLL for (v = 0; v < vectors; ++v) row[v] = v < vectors - 1 ? first + v * @lanes@ : end - @lanes@;
   UNROLL for (c = 0; c < columns * chains; ++c)
     UNROLL for (v = 0; v < vectors; ++v)
-      sum[c][v] = start && c < columns ? *(const tile_vector*) (start + c * nrow_x + row[v]) : (tile_vector) {0};
+      sum[c][v] = start && c < columns ? *(const @kind@_vector*) (start + c * nrow_x + row[v]) : (@kind@_vector) {0};
   for (; k + chains <= ncol_x; k += chains)
     UNROLL for (p = 0; p < chains; ++p)
       UNROLL for (v = 0; v < vectors; ++v) {
-        const tile_vector a = *(const tile_vector*) (x + (k + p) * nrow_x + row[v]);
+        const @kind@_vector a = *(const @kind@_vector*) (x + (k + p) * nrow_x + row[v]);
         UNROLL for (c = 0; c < columns; ++c) sum[p * columns + c][v] += a * y[k + p + c * ncol_x];
       }
   for (; k < ncol_x; ++k)
     UNROLL for (v = 0; v < vectors; ++v) {
-      const tile_vector a = *(const tile_vector*) (x + k * nrow_x + row[v]);
+      const @kind@_vector a = *(const @kind@_vector*) (x + k * nrow_x + row[v]);
       UNROLL for (c = 0; c < columns; ++c) sum[c][v] += a * y[k + c * ncol_x];
     }
   UNROLL for (c = columns; c < columns * chains; ++c)
     UNROLL for (v = 0; v < vectors; ++v) sum[c % columns][v] += sum[c][v];
   UNROLL for (c = 0; c < columns; ++c)
-    UNROLL for (v = 0; v < vectors; ++v) *(tile_vector*) (z + c * nrow_x + row[v]) = sum[c][v];
+    UNROLL for (v = 0; v < vectors; ++v) *(@kind@_vector*) (z + c * nrow_x + row[v]) = sum[c][v];
 }
 
 /* all rows of `columns` columns, in tiles of nearly equal height */
-static inline __attribute__((always_inline)) void kernel_panel(const int columns, const int most,
-    const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x, const casadi_real* y, const casadi_real* start,
-    casadi_real* z) {
-  const casadi_int vectors = (nrow_x + TILE_LANES - 1) / TILE_LANES, tiles = (vectors + most - 1) / most;
+static INLINE void kernel_@kind@_panel(const int columns, const int most, const casadi_real* x, casadi_int nrow_x,
+    casadi_int ncol_x, const casadi_real* y, const casadi_real* start, casadi_real* z) {
+  const casadi_int vectors = (nrow_x + @lanes@ - 1) / @lanes@, tiles = (vectors + most - 1) / most;
   casadi_int first = 0, t;
   for (t = 0; t < tiles; ++t) {
     casadi_int height = vectors * (t + 1) / tiles - vectors * t / tiles;
-    casadi_int end = t < tiles - 1 ? first + height * TILE_LANES : nrow_x;
+    casadi_int end = t < tiles - 1 ? first + height * @lanes@ : nrow_x;
 #ifdef KERNEL_IN_ORDER
 #define CHAINS(h) 1
 #else
 #define CHAINS(h) (columns > 1 ? 1 : h > 4 ? 1 : h > 2 ? 2 : 4)
 #endif
-#define TILE(h) if (h <= most && height == h) \
-      kernel_tile(h, columns, CHAINS(h), x, nrow_x, ncol_x, y, start, z, first, end);
-    TILE(1) TILE(2) TILE(3) TILE(4) TILE(5) TILE(6) TILE(7) TILE(8)
+#define TILE(h) if (h <= most && h >= vectors / tiles && h <= vectors / tiles + 1 && h == height) \
+      kernel_@kind@(h, columns, CHAINS(h), x, nrow_x, ncol_x, y, start, z, first, end);
+    TILE(1) TILE(2) TILE(3) TILE(4) TILE(5) TILE(6) TILE(7) TILE(8) TILE(9) TILE(10) TILE(11) TILE(12) TILE(13)
+    TILE(14) TILE(15) TILE(16) TILE(17) TILE(18) TILE(19) TILE(20) TILE(21) TILE(22) TILE(23) TILE(24) TILE(25)
 #undef TILE
 #undef CHAINS
     first = end;
   }
 }
 
-/* 4 .. 8 rows as two vectors of four that overlap, with two partial sums each */
+"""
+
+_KERNEL = r"""
+#if defined(__AVX512F__)
+#define TILE_LANES 8
+#define TILE_VECTORS 4
+#define HALF_VECTORS 25
+#else
+#define TILE_LANES 4
+#define TILE_VECTORS 2
+#define HALF_VECTORS 4
+#endif
+#define HALF_LANES 4
+#define MOST_VECTORS 25
+#define UNROLL _Pragma("GCC unroll 32")
+#define INLINE inline __attribute__((always_inline))
+/* Unaligned vectors of doubles; a compiler without that width splits them. */
+typedef casadi_real tile_vector __attribute__((vector_size(TILE_LANES * sizeof(casadi_real)), aligned(8), may_alias));
+typedef casadi_real half_vector __attribute__((vector_size(HALF_LANES * sizeof(casadi_real)), aligned(8), may_alias));
+
+@tiles@/* 4 .. 8 rows as two vectors of four that overlap, with two partial sums each */
 static inline void kernel_low(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
     const casadi_real* y, casadi_int ncol_y, casadi_real* z) {
   const casadi_int below = nrow_x - HALF_LANES;
@@ -146,19 +153,22 @@ static inline void kernel_row(const casadi_real* x, casadi_int count, const casa
   }
 }
 
-/* z = start + x y, where no start stands for zeros */
-static void kernel_mtimes_from(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
+/* z = start + x y, where no start stands for zeros. One column in columns of x that are no whole vectors is found by
+   vectors of four, which cross fewer cache lines. */
+static INLINE void kernel_mtimes_from(const casadi_real* x, casadi_int nrow_x, casadi_int ncol_x,
     const casadi_real* y, casadi_int ncol_y, const casadi_real* start, casadi_real* z) {
   casadi_int i = 0, j, k;
   if (nrow_x >= TILE_LANES) {
-#define PANELS(n, most) for (; i + n <= ncol_y; i += n) \
-      kernel_panel(n, most, x, nrow_x, ncol_x, y + i * ncol_x, start ? start + i * nrow_x : 0, z + i * nrow_x);
-    PANELS(5, TILE_VECTORS)
-    PANELS(4, TILE_VECTORS)
-    PANELS(3, TILE_VECTORS)
-    PANELS(2, TILE_VECTORS * 2)
-    PANELS(1, TILE_VECTORS * 2)
-#undef PANELS
+#define PANEL(kind, n, most) kernel_##kind##_panel(n, most, x, nrow_x, ncol_x, y + i * ncol_x, \
+      start ? start + i * nrow_x : 0, z + i * nrow_x)
+    for (; i + 5 <= ncol_y; i += 5) PANEL(tile, 5, TILE_VECTORS);
+    i = ncol_y / 5 * 5;
+    if (ncol_y % 5 == 4) PANEL(tile, 4, TILE_VECTORS);
+    if (ncol_y % 5 == 3) PANEL(tile, 3, TILE_VECTORS);
+    if (ncol_y % 5 == 2) PANEL(tile, 2, TILE_VECTORS * 2);
+    if (ncol_y % 5 == 1 && nrow_x % TILE_LANES == 0) PANEL(tile, 1, TILE_VECTORS * 2);
+    if (ncol_y % 5 == 1 && nrow_x % TILE_LANES != 0) PANEL(half, 1, HALF_VECTORS);
+#undef PANEL
     return;
   }
   for (j = 0; j < nrow_x * ncol_y; ++j) z[j] = start ? start[j] : 0;
@@ -190,14 +200,20 @@ static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_
 }
 """
 
+_KINDS = (("tile", "TILE_LANES"), ("half", "HALF_LANES"))
+_PRODUCTS = _KERNEL.lstrip().replace(
+    "@tiles@", "".join(_TILES.replace("@kind@", kind).replace("@lanes@", lanes) for kind, lanes in _KINDS)
+)
 _BODIES = {
-    "void casadi_mtimes_dense": _KERNEL.lstrip(),
+    "void casadi_mtimes_dense": _PRODUCTS,
     "void casadi_copy": COPY,
     "casadi_real casadi_vfmin": LEAST,
     "casadi_real casadi_vfmax": LARGEST,
     "casadi_real casadi_fmin": SMALLER,
     "casadi_real casadi_fmax": LARGER,
 }
+_PLAIN = re.compile(r"casadi_mtimes_dense\(([^;]*), ([^,;]+), 0\);")
+_PRODUCT = re.compile(r"kernel_mtimes_from\(([^,;]+), (\d+), (\d+), ([^,;]+), (\d+), ([^,;]+), ([^,;]+)\);")
 _TANH_LOOP = re.compile(r"for \(i=0, rr=([^,]+), cs=([^;]+); i<(\d+); \+\+i\) \*rr\+\+ = tanh\( ?\*cs\+\+ ?\);")
 _REALS = re.compile(r"#define casadi_int .*\n(#endif\n)?")  # defined before the kernels, which need it
 
@@ -223,7 +239,26 @@ def _with_products(source: str) -> str:
         if start >= 0:
             end = source.index("\n}\n", start) + len("\n}\n")
             source = source[:start] + body + source[end:]
-    return with_fewer_copies(source)
+    return _by_shape(with_fewer_copies(source))
+
+
+def _by_shape(source: str) -> str:
+    """With one function for each shape of a product, in which compilers know all sizes."""
+    before, kernel, after = source.partition(_PRODUCTS)
+    functions = {}
+
+    def shaped(found: re.Match[str]) -> str:
+        x, rows, inner, y, columns, start, z = found.groups()
+        name = f"kernel_mtimes_{rows}_{inner}_{columns}"
+        functions[name] = f"""
+static void {name}(const casadi_real* x, const casadi_real* y, const casadi_real* start, casadi_real* z) {{
+  kernel_mtimes_from(x, {rows}, {inner}, y, {columns}, start, z);
+}}
+"""
+        return f"{name}({x}, {y}, {start}, {z});"
+
+    after = _PRODUCT.sub(shaped, _PLAIN.sub(r"kernel_mtimes_from(\1, \2, \2);", after))
+    return "".join([before, kernel, *functions.values(), after])
 
 
 def _begin_with(text: str, source: str) -> str:
