@@ -37,19 +37,20 @@ def parts(tmp_path_factory):
     return found
 
 
-def on_the_way(core, iterations=2):
+def on_the_way(core, iterations):
     """Leave a core at the iterate of a solve that was stopped."""
     options = c.Options(iterations, 0, 1e-10, 0.0)
     core.solve(options, False, *(np.array([array]) for array in ARGUMENTS), [None])
 
 
+@pytest.mark.parametrize("iterations", [0, 2])  # equalities are violated, or are not
 @pytest.mark.parametrize("penalty", [0.0, 1.0, 1e3])
-def test_the_slope_of_the_line_search_is_that_of_differences_of_its_barrier_function(parts, penalty):
+def test_the_slope_of_the_line_search_is_that_of_differences_of_its_barrier_function(parts, penalty, iterations):
     errors = []
     for h in (1e-4, 1e-5, 1e-6):
         known, found = REAL(), REAL()
         with borrow_core(problem_of_everything()) as core:
-            on_the_way(core)
+            on_the_way(core, iterations)
             addresses = ctypes.addressof(known), ctypes.addressof(found)
             parts.slopes(core.address, penalty, 0.1, h, *addresses)
         errors.append(abs(found.value / known.value - 1))
@@ -75,6 +76,6 @@ def test_first_costates_leave_no_gradient_by_the_states_unless_they_are_of_anoth
 
 def test_iterations_without_progress_count_unless_they_are_regularised(parts):
     with borrow_core(problem_of_everything()) as core:
-        on_the_way(core)
+        on_the_way(core, 2)
         assert parts.iterations_until_idle(core.address, 0.0) == 6
         assert parts.iterations_until_idle(core.address, 1e-4) == 0

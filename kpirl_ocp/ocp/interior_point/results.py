@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import kpirl_ocp.ocp.interior_point.library as c
+from kpirl_ocp.ocp.problem.layout import multiplier_shapes
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
@@ -36,19 +37,9 @@ class SolutionRows:
     """
 
     def __init__(self, problem: OCP) -> None:
-        T, n_s, n_u = problem.horizon, problem.n_states, problem.n_actions
-        n_h, n_e = problem.n_path, problem.n_path_equality
-        self.shapes: dict[str, tuple[int, ...]] = {
-            "states": (T + 1, n_s),
-            "actions": (T, n_u),
-            "multipliers.dynamics": (T, n_s),
-            "multipliers.state": (T + 1, n_s),
-            "multipliers.action": (T, n_u),
-            "multipliers.path": (T, n_h),
-            "multipliers.terminal": (problem.n_terminal,),
-            "multipliers.path_equality": (T, n_e),
-            "multipliers.terminal_equality": (problem.n_terminal_equality,),
-        }
+        duals = {f"multipliers.{name}": shape for name, shape in multiplier_shapes(problem).items()}
+        plan = {"states": (problem.horizon + 1, problem.n_states), "actions": (problem.horizon, problem.n_actions)}
+        self.shapes: dict[str, tuple[int, ...]] = plan | duals
         self._ends = list(accumulate(map(prod, self.shapes.values()), initial=0))
         self._given = np.flatnonzero(~problem.free_start)
 

@@ -69,8 +69,7 @@ def keypoint_ocp(
     row, aim = stage[: basis.shape[1]], goal if goals is None else goal + stage[basis.shape[1] :]
     z, theta, velocity = state[:n_z], state[n_z : n_z + n_q], state[n_z + n_q :]
     successor = theta + action
-    free = np.full(n_z, np.inf), np.full(n_q, np.inf)
-    limits = robot.joint_limits if joint_limits else (-free[1], free[1])
+    limits = robot.joint_limits if joint_limits else UNBOUNDED
     return OCP.from_expressions(
         state=state,
         action=action,
@@ -83,9 +82,16 @@ def keypoint_ocp(
         observation=z,
         horizon=horizon,
         action_bounds=(-max_displacement, max_displacement),
-        state_bounds=(np.hstack([-free[0], limits[0], -free[1]]), np.hstack([free[0], limits[1], free[1]])),
+        state_bounds=_bounds_of_joints(limits, n_z, n_q),
         schedule=schedule,
     )
+
+
+def _bounds_of_joints(limits: Bounds, n_z: int, n_q: int) -> tuple[Array, Array]:
+    """Bounds of the state of which only theta is bounded."""
+    lower, upper = bounds_of("joint_limits", limits, (n_q,))
+    z, velocity = np.full(n_z, np.inf), np.full(n_q, np.inf)
+    return np.hstack([-z, lower, -velocity]), np.hstack([z, upper, velocity])
 
 
 def _goal_columns(goals: ArrayLike, horizon: int, n_z: int) -> Array:
@@ -128,8 +134,6 @@ def network_ocp(
     psi, goal, stage = ca.SX.sym("psi", n_psi), ca.SX.sym("goal", n_z), ca.SX.sym("d", schedule.shape[1])
     running = cost.stage_cost(state[:n_z], action, psi, goal, stage)
     final = cost.stage_cost(state[:n_z], ca.SX.zeros(n_q), psi, goal, stage)
-    lower, upper = bounds_of("joint_limits", joint_limits, (n_q,))
-    free = np.full(n_z, np.inf), np.full(n_q, np.inf)
     return OCP(
         dynamics=dynamics.function(n_psi),
         stage_cost=ca.Function("stage_cost", [state, action, psi, goal, stage], [running]),
@@ -137,7 +141,7 @@ def network_ocp(
         observation=ca.Function("observation", [state], [state[:n_z]]),
         horizon=horizon,
         action_bounds=(-max_displacement, max_displacement),
-        state_bounds=(np.hstack([-free[0], lower, -free[1]]), np.hstack([free[0], upper, free[1]])),
+        state_bounds=_bounds_of_joints(joint_limits, n_z, n_q),
         schedule=schedule,
         derivatives=DynamicsDerivatives(partial(LinearisedNetwork, dynamics), partial(NetworkPasses, dynamics)),
     )

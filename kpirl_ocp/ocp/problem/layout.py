@@ -84,19 +84,23 @@ def unpack_multipliers(problem: OCP, nu: Array, lam: Array, mu: Array) -> Multip
     )
 
 
-def check_multipliers(problem: OCP, multipliers: Multipliers, of: str = "guess") -> None:
-    """Raise ProblemError when the shapes of multipliers, such as those of a guess, do not fit the problem."""
+def multiplier_shapes(problem: OCP) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays of `Multipliers`, by name."""
     steps = problem.horizon
-    shapes = {
+    return {
         "dynamics": (steps, problem.n_states),
         "state": (steps + 1, problem.n_states),
         "action": (steps, problem.n_actions),
         "path": (steps, problem.n_path),
-        "path_equality": (steps, problem.n_path_equality),
         "terminal": (problem.n_terminal,),
+        "path_equality": (steps, problem.n_path_equality),
         "terminal_equality": (problem.n_terminal_equality,),
     }
-    for name, shape in shapes.items():
+
+
+def check_multipliers(problem: OCP, multipliers: Multipliers, of: str = "guess") -> None:
+    """Raise ProblemError when the shapes of multipliers, such as those of a guess, do not fit the problem."""
+    for name, shape in multiplier_shapes(problem).items():
         given = np.shape(getattr(multipliers, name))
         if given != shape:
             raise ProblemError(f"the {of}'s multipliers.{name} must be {shape}, got {given}: it is of another problem.")
