@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -244,6 +245,11 @@ def test_a_cost_is_learned_whose_executed_plan_follows_the_demonstration(iiwa, l
         assert done.reached < 0.1
         assert abs(done.reached - done.planned) < 0.01
         assert done.images.shape == (7, 240, 240, 3)
+        between = (len(done.postures) - 1) // 6  # postures a step, for a film at ten hertz or more
+        assert 10 <= done.film_rate == between * done.rate <= 30
+        np.testing.assert_allclose(arm.keypoints(done.postures[::between]), done.keypoints)
+        *_, last = arm.images(done.postures)
+        np.testing.assert_array_equal(last, done.images[-1])
 
 
 def test_a_cost_is_learned_from_all_the_starts_that_it_is_given(iiwa):
@@ -462,12 +468,13 @@ def test_a_refusal_tells_the_times_that_start_and_end_mean(tmp_path, moving_film
     assert "jump at 1.00 s" in capsys.readouterr().err
 
 
-def test_the_person_and_the_robot_are_shown_at_the_same_steps(tmp_path, moving_film):
-    """The film is 1.3 s long, and the plan has 3 steps: frames 0, 13, 26 and 39 of it, with the arm's four images."""
+def test_the_person_and_the_arm_are_shown_at_the_same_share_of_the_way(tmp_path, moving_film):
+    """The film is 1.3 s long, and the arm passes four postures: frames 0, 13, 26 and 39, with the arm's four images."""
     tracks = Tracks(np.arange(40) / 30, np.zeros((40, 1, 2)), np.ones((40, 1)), (320, 180))
     images = np.arange(4, dtype=np.uint8)[:, None, None, None] * 60 + np.zeros((4, 90, 90, 3), np.uint8)
-    run = Executed(np.zeros((4, 1, 2)), np.zeros((4, 1, 2)), 0.0, 0.0, 2, images)
-    found = list(iterate_frames(side_by_side(tmp_path / "pair.mp4", Film(moving_film), tracks, run)))
+    arm = SimpleNamespace(keypoints=lambda postures: np.zeros((4, 1, 2)), images=lambda postures: images)
+    run = Executed(np.zeros((4, 1, 2)), np.zeros((4, 1, 2)), 0.0, 0.0, 2, images, np.zeros((4, 7)))
+    found = list(iterate_frames(side_by_side(tmp_path / "pair.mp4", Film(moving_film), tracks, arm, run)))
     frames = [image for _, image in iterate_frames(moving_film)]
     np.testing.assert_allclose([time for time, _ in found], [0, 0.5, 1, 1.5])
     for step, (_, pair) in enumerate(found):

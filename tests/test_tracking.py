@@ -272,6 +272,12 @@ def test_more_steps_than_frames_are_refused():
         check_steps(tracks_of(WAY), 90)
 
 
+def test_between_frames_keypoints_are_on_straight_lines():
+    tracks = tracks_of(WAY)
+    np.testing.assert_allclose(tracks.places_at(tracks.times), tracks.positions)
+    np.testing.assert_allclose(tracks.places_at([0.5 / 30]), tracks.positions[:2].mean(axis=0)[None])
+
+
 def test_the_rest_before_and_after_is_left_out():
     still = np.vstack([np.repeat(WAY[:1], 60, 0), WAY, np.repeat(WAY[-1:], 60, 0)])
     start, end = moving_part(tracks_of(still))

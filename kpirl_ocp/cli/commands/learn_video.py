@@ -89,7 +89,7 @@ def _imitate(args: Namespace, film: Film, tracks: Tracks, length: float | None) 
         print(f"start {i + 1}: {shortfall(arm, displacements, starts[i], runs[i], reused=bool(args.cost))}")
     print(f"figure:  {draw_paths(args.out / 'paths.png', runs)}")
     print(f"picture: {draw_imitation(args.out / 'imitation.png', part, runs[0])}")
-    print(f"film:    {side_by_side(args.out / 'imitation.mp4', shown, part, runs[0])}")
+    print(f"film:    {side_by_side(args.out / 'imitation.mp4', shown, part, arm, runs[0])}")
     if args.export:
         print(f"C:       {_export(args.out / 'c', learned, arm)}")
     return 1 if far else 0

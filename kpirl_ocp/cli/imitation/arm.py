@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kpirl_ocp.cli.commands.solve import bent_posture
 from kpirl_ocp.errors import DemonstrationError, SceneError
@@ -14,6 +16,7 @@ from kpirl_ocp.irl.visual.camera_learning import held_points
 from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Keypoint, Robot
 from kpirl_ocp.ocp.models.robot_files import example_urdf
+from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.scene.bodies import BOTTLE, FLANGE
 from kpirl_ocp.perception.scene.camera import Camera
 from kpirl_ocp.perception.scene.posture import inverse_kinematics
@@ -52,6 +55,19 @@ class Arm:
     def scene(self, rate: int = 5) -> Scene:
         """The scene with this arm, to be used in a `with` block."""
         return _scene(self.name, self.flange, self.robot, self.camera, rate)
+
+    def images(self, postures: Array) -> Iterator[Frames]:
+        """Images (H, W, 3) of the arm in each of the postures (n, n_joints) [rad], as its camera sees it."""
+        with self.scene() as scene:
+            for theta in postures:
+                scene.reset(np.clip(theta, *scene.joint_limits))  # motors may pass a limit by a rounding error
+                yield scene.render().rgb
+
+    def keypoints(self, postures: ArrayLike) -> Array:
+        """Keypoints (n, K, 2) [pixels of the camera] of the arm in postures (n, n_joints) [rad]."""
+        count = 2 * len(self.setting.keypoints)
+        seen = np.array([self.setting.state(self.robot, theta)[:count] for theta in np.asarray(postures, float)])
+        return np.asarray(self.setting.unit * seen.reshape(len(seen), -1, 2), float)
 
 
 @dataclass(frozen=True)

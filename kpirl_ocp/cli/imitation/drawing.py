@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from kpirl_ocp import figures
+from kpirl_ocp.cli.imitation.arm import Arm
 from kpirl_ocp.cli.imitation.execution import Executed
 from kpirl_ocp.irl.visual.camera_learning import CameraLearning
 from kpirl_ocp.perception.data.encoding import write_video
@@ -95,16 +96,16 @@ def _draw_tracks(axis: Axes, tracks: Tracks) -> None:
     axis.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
 
 
-def side_by_side(path: Path, film: Film, tracks: Tracks, run: Executed) -> Path:
-    """An .mp4 of the person with tracks, and of the robot with its keypoints, step by step."""
-    steps = tracks.at_rate((len(run.images) - 1) / float(tracks.times[-1]))
-    return write_video(path, _pairs(film, steps, run), rate=run.rate, codec="h264")
+def side_by_side(path: Path, film: Film, tracks: Tracks, arm: Arm, run: Executed) -> Path:
+    """An .mp4 of the person with tracks, beside the arm with its keypoints at the same share of the way."""
+    return write_video(path, _pairs(film, tracks, arm, run), rate=run.film_rate, codec="h264")
 
 
-def _pairs(film: Film, tracks: Tracks, run: Executed) -> Iterator[Frames]:
-    """The frames of the tracks (T+1), each beside what the robot's camera saw at the same step."""
-    for step, image in enumerate(at_times(film.frames(), tracks.times)):
-        zoom = image.shape[0] / run.images.shape[1]
-        pair = np.hstack([image, zoomed(run.images[step], zoom)])
-        arm = [image.shape[1], 0] + zoom * run.keypoints[: step + 1]
-        yield overlay(overlay(pair, tracks.positions[: step + 1]), arm)
+def _pairs(film: Film, tracks: Tracks, arm: Arm, run: Executed) -> Iterator[Frames]:
+    times = np.linspace(0.0, float(tracks.times[-1]), len(run.postures))
+    theirs, ours = tracks.places_at(times), arm.keypoints(run.postures)
+    images = at_times(film.frames(), times)
+    for index, (image, seen) in enumerate(zip(images, arm.images(run.postures), strict=True)):
+        zoom = image.shape[0] / seen.shape[0]
+        pair = overlay(np.hstack([image, zoomed(seen, zoom)]), theirs[: index + 1])
+        yield overlay(pair, [image.shape[1], 0] + zoom * ours[: index + 1])

@@ -12,10 +12,12 @@ from kpirl_ocp.irl.cases.cost_files import LearnedCost
 from kpirl_ocp.irl.visual.camera_learning import camera_demonstration, path_distance, plan_from
 from kpirl_ocp.irl.visual.reach import check_reach
 from kpirl_ocp.perception.data.video import Frames
+from kpirl_ocp.perception.scene.scene import PHYSICS_RATE, Scene
 from kpirl_ocp.types import Array
 
 _RATES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 24, 30)  # [Hz] that the scene keeps
 ALLOWED = 0.1  # relative distance from the demonstration that an execution may have
+_FILM_RATE = 10  # of a film, at least, if the steps take longer [Hz]
 _SPEED = 0.35  # of the fastest joint, so that the motors keep up [rad/s]
 
 
@@ -25,7 +27,7 @@ class Executed:
 
     keypoints, wanted: (T+1, K, 2) where the arm's keypoints came, and where the demonstration has them [pixels].
     planned: path distance of the plan to the demonstration. reached: that of the execution. rate: [Hz] of the steps.
-    images: (T+1, H, W, 3) of the scene's camera.
+    images: (T+1, H, W, 3) of the scene's camera. postures: (m T + 1, n_joints) [rad] for a film, m a step.
     """
 
     keypoints: Array
@@ -34,6 +36,12 @@ class Executed:
     reached: float
     rate: int
     images: Frames
+    postures: Array
+
+    @property
+    def film_rate(self) -> float:
+        """Postures a second [Hz]."""
+        return self.rate * (len(self.postures) - 1) / (len(self.images) - 1)
 
 
 def execute(arm: Arm, learned: LearnedCost, displacements: Array, start: Array) -> Executed:
@@ -52,24 +60,33 @@ def execute(arm: Arm, learned: LearnedCost, displacements: Array, start: Array) 
     joints = plan.states[:, n_z : n_z + robot.n_joints]
     rate = _rate_for(plan.actions)
     with arm.scene(rate) as scene:
-        measured = scene.reset(start).positions
-        passed, images = [measured], [scene.render().rgb]
+        postures, images = [scene.reset(start).positions], [scene.render().rgb]
         for target in joints[1:]:
-            measured = scene.step(target - measured).positions
-            passed.append(measured)
+            postures += _step(scene, target - postures[-1])
             images.append(scene.render().rgb)
-    seen = np.array([setting.state(robot, theta)[:n_z] for theta in passed])
-    pixels, wanted = (
-        setting.unit * values.reshape(len(values), -1, 2) for values in (seen, demonstration.observations)
-    )
+    keypoints = arm.keypoints(postures[:: (len(postures) - 1) // (len(images) - 1)])
+    seen = keypoints.reshape(len(images), -1) / setting.unit
     return Executed(
-        keypoints=pixels,
-        wanted=wanted,
+        keypoints=keypoints,
+        wanted=setting.unit * demonstration.observations.reshape(len(images), -1, 2),
         planned=path_distance(plan.states[:, :n_z], demonstration.observations),
         reached=path_distance(seen, demonstration.observations),
         rate=rate,
         images=np.array(images),
+        postures=np.array(postures),
     )
+
+
+def _step(scene: Scene, u: Array) -> list[Array]:
+    """`scene.step(u)`; the joint positions at regular times on its way, with those at its end."""
+    ticks = max(n for n in range(1, PHYSICS_RATE // _FILM_RATE + 1) if scene.ticks % n == 0)
+    scene.command(u)
+    passed = []
+    for _ in range(scene.ticks // ticks):
+        for _ in range(ticks):
+            scene.tick()
+        passed.append(scene.measure().positions)
+    return passed
 
 
 def _rate_for(actions: Array) -> int:

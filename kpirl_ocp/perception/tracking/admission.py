@@ -49,10 +49,8 @@ def moving_part(tracks: Tracks) -> tuple[float, float]:
 def check_steps(tracks: Tracks, steps: int) -> None:
     """Raise DemonstrationError if so many steps are too few for the path, or the frames too few for the steps."""
     seconds = float(tracks.times[-1] - tracks.times[0])
-    coarse = tracks.at_rate(steps / seconds)
-    columns = coarse.positions.reshape(len(coarse.times), -1).T
-    straight = np.stack([np.interp(tracks.times - tracks.times[0], coarse.times, column) for column in columns], axis=1)
-    gap = np.linalg.norm(straight.reshape(tracks.positions.shape) - tracks.positions, axis=-1).mean()
+    straight = tracks.at_rate(steps / seconds).places_at(tracks.times - tracks.times[0])
+    gap = np.linalg.norm(straight - tracks.positions, axis=-1).mean()
     way = np.linalg.norm(tracks.positions - tracks.positions[0], axis=-1).mean(axis=1).max()
     if gap > _COARSE * way:
         raise DemonstrationError(

@@ -72,6 +72,12 @@ class Tracks(Brief):
             raise DemonstrationError(f"the tracks have fewer than two frames between {start:g} and {end:g} s.")
         return Tracks(self.times[part] - self.times[part][0], self.positions[part], self.confidence[part], self.size)
 
+    def places_at(self, times: ArrayLike) -> Array:
+        """Positions (m, K, 2) [pixels] at times (m,) [s], on straight lines between the frames."""
+        columns = self.positions.reshape(len(self.times), -1).T
+        straight = [np.interp(np.asarray(times, float), self.times, column) for column in columns]
+        return np.stack(straight, axis=1).reshape(-1, *self.positions.shape[1:])
+
     def at_rate(self, rate: float) -> Tracks:
         """The frames nearest to k / rate [s]. Raises DemonstrationError if one would have to serve twice."""
         rows = [row for _, row in sampled(zip(self.times - self.times[0], range(len(self.times)), strict=True), rate)]
