@@ -215,6 +215,13 @@ def test_a_codec_that_cannot_be_decoded_is_named_with_the_command_that_converts_
     assert (command[0], command[2], command[-1]) == ("ffmpeg", str(path), str(tmp_path / "very strange-h264.mp4"))
 
 
+def test_times_that_fall_are_refused_with_the_command_that_mends_them(tmp_path):
+    """An .avi stores the times at which frames are decoded, which are others where frames depend on later ones."""
+    path = film(tmp_path / "old.avi", "libx264", "yuv420p", [np.roll(picture(), 2 * index, 1) for index in range(30)])
+    with pytest.raises(FileError, match=r"the times of its frames do not rise\. Convert it with\n.*ffmpeg -i"):
+        list(iterate_frames(path))
+
+
 def test_sound_alone_is_no_video(tmp_path):
     path = tmp_path / "song.mp4"
     with av.open(str(path), "w") as container:

@@ -28,8 +28,8 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
     The rotation that a phone writes into the file is applied. The file may be damaged or missing after `end`.
 
     Raises:
-        FileError: the file is missing, no video, of an unknown codec, damaged or incomplete, or its frames have more
-            than 89 million pixels, which is checked before memory is allocated.
+        FileError: the file is missing, no video, of an unknown codec, damaged or incomplete, its times fall, or its
+            frames have more than 89 million pixels, which is checked before memory is allocated.
     """
     if not path.is_file():
         raise FileError(f"there is no video {path}.")
@@ -37,7 +37,7 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
         raise FileError(f"{path} is not a video: expected one of {', '.join(VIDEO_SUFFIXES)}, or a folder of pictures.")
     container, stream = _open(path)
     first: float | None = None
-    time = period = longest = 0.0  # of the last frame, since the one before it, and the longest such pause [s]
+    time = longest = 0.0  # of the last frame, and the longest pause between two frames [s]
     with container:
         stream.thread_type = "AUTO"
         period = float(1 / stream.average_rate) if stream.average_rate else 0.0  # of a film with one frame
@@ -46,6 +46,8 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
             for frame in container.decode(stream):
                 stamp = float(frame.time or 0.0)
                 first = stamp if first is None else first
+                if stamp - first < time:
+                    raise FileError(f"{path}: the times of its frames do not rise. {_conversion(path)}")
                 period, time = stamp - first - time or period, stamp - first
                 longest = max(longest, period)
                 if time > end + 1e-6:
@@ -62,11 +64,16 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
             ) from error
     if first is None:
         raise FileError(f"{path} cannot be decoded as a video; is it complete?")
-    missing = promised - (time + period)
-    if missing > max(2 * longest, min(0.25, 0.1 * promised)) and time + period < end:
+    if time + period < end:
+        _check_complete(path, time + period, promised, longest)
+
+
+def _check_complete(path: Path, lasted: float, promised: float, longest: float) -> None:
+    """Raise FileError if a film that lasted so long [s] is shorter than promised by more than its `longest` pause."""
+    if promised - lasted > max(2 * longest, min(0.25, 0.1 * promised)):
         raise FileError(
-            f"{path} is incomplete: it ends after {time + period:.2f} of {promised:.2f} s. "
-            "Copy it again, or end before that (--end)."
+            f"{path} is incomplete: it ends after {lasted:.2f} of {promised:.2f} s. Copy it again, or end before that "
+            "(--end)."
         )
 
 
@@ -87,16 +94,18 @@ def _open(path: Path) -> tuple[av.container.InputContainer, av.VideoStream]:
     if streams[0].codec_context is None:
         found = re.search(r"Video: (\S+)(?: \((\S+))?", " ".join(text for _, _, text in log))
         codec = next((name for name in reversed(found.groups()) if name), "?") if found else "?"
-        raise FileError(
-            f"{path}: its codec {codec!r} cannot be decoded here. Convert it with\n"
-            f"    ffmpeg -i {quote(str(path))} -c:v libx264 -pix_fmt yuv420p "
-            f"{quote(str(path.with_name(path.stem + '-h264.mp4')))}\n"
-            "and take the film that this writes."
-        )
+        raise FileError(f"{path}: its codec {codec!r} cannot be decoded here. {_conversion(path)}")
     context = streams[0].codec_context
     _square_size(path, context.width, context.height, streams[0])
     context.options = {"max_pixels": str(_MOST_PIXELS)}  # frames may be larger than the header says
     return container, streams[0]
+
+
+def _conversion(path: Path) -> str:
+    """The advice to convert a film, with the command on a line of its own."""
+    written = path.with_name(f"{path.stem}-h264.mp4")
+    command = f"ffmpeg -i {quote(str(path))} -c:v libx264 -pix_fmt yuv420p {quote(str(written))}"
+    return f"Convert it with\n    {command}\nand take the film that this writes."
 
 
 def _promised_seconds(container: av.container.InputContainer, stream: av.VideoStream) -> float:
