@@ -148,6 +148,15 @@ def test_version_2_is_read(tmp_path):
         assert found.task == expected.task
 
 
+@pytest.mark.parametrize("kind", ["float16", "float32", "float64", "int8", "uint64", "bool", ">f4", ">i8"])
+def test_numbers_keep_their_type_and_any_order_of_bytes_is_taken(tmp_path, kind):
+    numbers = (np.arange(6).reshape(3, 2) % 2).astype(kind)
+    write_lerobot(tmp_path, [Take({"action": numbers}, np.arange(3) / RATE)], RATE)
+    found = read_lerobot(tmp_path)[0]["action"]
+    assert found.dtype == np.dtype(kind).newbyteorder("=")
+    np.testing.assert_array_equal(found, numbers)
+
+
 def test_own_demonstrations_survive_the_way_through_lerobot(tmp_path):
     episodes = demonstrate(Robot.iiwa(), "placing", 2, 0, 5)
     rate = 1 / (episodes[0].times[1] - episodes[0].times[0])
@@ -191,6 +200,7 @@ def test_a_video_that_is_too_short_is_refused(tmp_path):
         ([take(**{"a/b": np.zeros(6)})], RATE, "no array of the name 'a/b'"),
         ([take(index=np.zeros(6))], RATE, "no array of the name 'index'"),
         ([take(map=np.zeros((6, 2, 2)))], RATE, "flatten it"),
+        ([take(wide=np.zeros(6, np.longdouble))], RATE, r"wide has numbers of the type \w+, which LeRobot lacks"),
     ],
 )
 def test_takes_that_make_no_data_set_are_refused(tmp_path, takes, rate, reason):

@@ -26,13 +26,13 @@ _PIXELS = 100_000  # of a video, for its statistics
 def write_lerobot(directory: str | Path, takes: Sequence[Take], rate: float, robot: str = "unknown") -> Path:
     """Write takes recorded at `rate` [Hz] as a LeRobot data set into a new directory.
 
-    Numbers are kept as they are (floats as float32, LeRobot's type, unless they are float64), videos as H.264 in mp4,
-    which is not lossless. `meta/info.json` comes last: a directory without it is not complete.
+    Numbers keep their types; videos are H.264 in mp4, which is not lossless. `meta/info.json` comes last: a directory
+    without it is not complete.
 
     Raises:
         DependencyError: `pyarrow` is not installed.
-        EpisodeError: the directory is not empty, there is nothing to write, takes differ in names or shapes, or their
-            times are not those of the rate.
+        EpisodeError: the directory is not empty, there is nothing to write, takes differ in names or shapes, their
+            times are not those of the rate, or a number takes more than eight bytes.
     """
     root = Path(directory)
     tables = parquet()
@@ -97,7 +97,9 @@ def _describe(take: Take, rate: float) -> dict[str, dict[str, Any]]:
             raise EpisodeError(f"LeRobot allows no array of the name {name!r}.")
         if array.ndim > 2:
             raise EpisodeError(f"{name} must be (n,) or (n, size), got {array.shape}; flatten it.")
-        features[name] = {"dtype": str(array.dtype), "shape": list(array.shape[1:]) or [1], "names": None}
+        if array.dtype.itemsize > 8:
+            raise EpisodeError(f"{name} has numbers of the type {array.dtype}, which LeRobot lacks: make them float64.")
+        features[name] = {"dtype": str(_native(array).dtype), "shape": list(array.shape[1:]) or [1], "names": None}
     for name in take.videos:
         height, width = (side // 2 * 2 for side in take.frame_size(name))
         info: dict[str, Any] = {"video.fps": rate, "video.height": height, "video.width": width, "video.channels": 3}
@@ -112,7 +114,7 @@ def _table(take: Take, features: dict[str, dict[str, Any]], number: int, start: 
     n = len(take)
     columns: dict[str, Any] = {}
     for name, array in take.arrays.items():
-        flat = arrow.array(np.ascontiguousarray(array).ravel())
+        flat = arrow.array(np.ascontiguousarray(_native(array)).ravel())
         wide = array.ndim == 2 and features[name]["shape"] != [1]
         columns[name] = arrow.FixedSizeListArray.from_arrays(flat, array.shape[1]) if wide else flat
     columns["timestamp"] = arrow.array((take.times - take.times[0]).astype(np.float32))
@@ -121,6 +123,11 @@ def _table(take: Take, features: dict[str, dict[str, Any]], number: int, start: 
     columns["index"] = arrow.array(np.arange(start, start + n))
     columns["task_index"] = arrow.array(np.full(n, task))
     return arrow.table(columns)
+
+
+def _native(array: NDArray[Any]) -> NDArray[Any]:
+    """The array with its bytes in this machine's order, which Arrow expects."""
+    return array.astype(array.dtype.newbyteorder("="))
 
 
 def _task_table(arrow: Any, tasks: list[str]) -> Any:
