@@ -395,6 +395,8 @@ def test_tracks_of_another_rate_are_drawn_into_the_nearest_frames():
     frames = [(0.1 * index, image) for index, image in enumerate(images)]
     shown = [int(image[0, 0, 0]) for image in at_times(frames, np.array([0.0, 0.04, 0.06, 0.19, 0.3, 0.4]))]
     assert shown == [0, 0, 1, 2, 3, 3]
+    dense = [int(image[0, 0, 0]) for image in at_times(frames, np.linspace(0, 0.3, 100))]  # 33 times the film's rate
+    np.testing.assert_array_equal(dense, np.round(np.linspace(0, 3, 100)))
 
 
 def test_tracks_that_go_on_after_the_film_are_refused():

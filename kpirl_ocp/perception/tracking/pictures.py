@@ -68,7 +68,7 @@ def at_times(frames: Iterable[tuple[float, Frames]], times: Array) -> Iterator[F
         while following is not None and abs(following[0] - time) <= abs(now[0] - time):
             step = max(step, following[0] - now[0])
             now, following = following, next(stream, None)
-        if time > now[0] + 2 * step:
+        if following is None and time > now[0] + 2 * step:
             raise DemonstrationError(
                 f"the tracks go on until {times[-1]:.2f} s, but the film ends at {now[0]:.2f} s: "
                 "say the rate of the tracks (--source-rate)."
