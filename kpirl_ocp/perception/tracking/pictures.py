@@ -26,7 +26,7 @@ _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 def overlay(image: Frames, trails: Array, confidence: Array | None = None) -> Frames:
     """An image (H, W, 3) with the paths (t, K, 2) [pixels] of keypoints up to now; a ring is one that is not seen."""
     canvas = np.ascontiguousarray(image).copy()
-    thickness = max(1, round(max(image.shape[:2]) / 400))
+    thickness, radius = (max(least, round(max(image.shape[:2]) / share)) for least, share in ((2, 320), (3, 105)))
     seen = np.ones(trails.shape[1], bool) if confidence is None else confidence > 0
     colours = [tuple(int(255 * value) for value in to_rgb(colour)) for colour in COLOURS]
     lines = [np.ascontiguousarray(line) for line in trails.round().astype(np.int32).swapaxes(0, 1)]
@@ -37,17 +37,19 @@ def overlay(image: Frames, trails: Array, confidence: Array | None = None) -> Fr
     for number, rim in rims:
         rgb = _WHITE if rim else colours[number % len(colours)]
         filled = -1 if seen[number] else thickness + 2 * rim
-        cv2.circle(canvas, lines[number][-1].tolist(), 3 * thickness + rim, rgb, filled, cv2.LINE_AA)
+        cv2.circle(canvas, lines[number][-1].tolist(), radius + rim, rgb, filled, cv2.LINE_AA)
     return canvas
 
 
 def captioned(image: Frames, text: str) -> Frames:
-    """An image (H, W, 3) with a line of text in its upper left corner."""
+    """An image (H, W, 3) with a line of text on a white label in its upper left corner."""
     canvas = np.ascontiguousarray(image).copy()
-    size = max(0.4, max(canvas.shape[:2]) / 1000)
-    place, font, bold = (round(12 * size), round(32 * size)), cv2.FONT_HERSHEY_SIMPLEX, max(1, round(2 * size))
-    for rgb, width in ((_WHITE, bold + 4), (_BLACK, bold)):  # seen on any ground
-        cv2.putText(canvas, text, place, font, size, rgb, width, cv2.LINE_AA)
+    size = max(0.45, max(canvas.shape[:2]) / 1000)
+    bold, edge = max(1, round(2 * size)), round(12 * size)
+    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, bold)
+    canvas[: height + 2 * edge, : width + 2 * edge] = _WHITE
+    place = (edge, height + edge)
+    cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, _BLACK, bold, cv2.LINE_AA)
     return canvas
 
 
