@@ -292,6 +292,9 @@ def test_implicit_gradients_of_quadratic_programs_are_those_that_tests_for_kinks
         ({}, True),
         ({"dynamics": P * S + U}, True),
         ({"path_constraint": S - P * U}, True),
+        ({"state_bounds": (-P, P)}, True),
+        ({"initial_bounds": (-P, P)}, True),
+        ({"action_bounds": (-P, P)}, True),
         ({"terminal_cost": ca.exp(P) * S**2}, False),  # in doubt: no polynomial
         ({"stage_cost": S**2 * U}, False),
         ({"dynamics": S + U * S}, False),

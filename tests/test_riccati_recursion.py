@@ -11,6 +11,7 @@ from kpirl_ocp.ocp.interior_point import library as c
 
 CORE = ctypes.CDLL(c.library()._name)  # another handle, whose functions are declared here
 CORE.kpirl_mpc_system_solve.restype = CORE.kpirl_mpc_system_change.restype = ctypes.c_double
+CORE.kpirl_mpc_log_sum.restype = ctypes.c_double
 CORE.kpirl_mpc_kkt_init.restype = ctypes.c_size_t
 EPSILON = np.finfo(float).eps
 
@@ -198,6 +199,18 @@ def test_the_scalar_recursion_is_its_closed_form():
         s = a * s + b * one * s
     at_rest = lq._replace(q=np.zeros(2 * steps + 1), d=np.zeros((steps, 1)), s0=np.array([2.0]))
     np.testing.assert_allclose(solve(at_rest, factors)[0], [*expected, s], rtol=1e-11)
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-6, 1.0, 1e300])
+@pytest.mark.parametrize("count", [0, 1, 70, 1000])
+def test_the_sum_of_logarithms_is_that_of_each(count, size):
+    values = size * np.random.default_rng(count).uniform(0.5, 2, count)
+    np.testing.assert_allclose(run("log_sum", values, count), np.log(values).sum(), rtol=1e-14, atol=1e-12)
+
+
+@pytest.mark.parametrize(("one", "expected"), [(0.0, -np.inf), (-1.0, np.nan), (np.nan, np.nan), (np.inf, np.inf)])
+def test_the_sum_of_logarithms_is_no_number_where_one_is_none(one, expected):
+    np.testing.assert_equal(run("log_sum", np.array([0.5, one, 2.0]), 3), expected)
 
 
 class Rows(NamedTuple):

@@ -12,6 +12,7 @@ from kpirl_ocp.ocp.models import RBF, KeypointCost, TimeDependent
 S, U, P, C, D = (ca.SX.sym(name, size) for name, size in zip("supcd", (2, 1, 4, 1, 3), strict=True))
 SCHEDULE = np.array([[1.0, 0.3, 0], [0, 1, 0.2], [0.5, 0, 1], [0.1, 1, 1]])
 EVEN = [1.3, -0.4, 2.0, 0.7]
+MOVES = (P[0] - EVEN[0]) / (STEP * direction(np.array(EVEN))[0])  # of psi_0: 1 and -1 to both sides
 
 
 def problem_of(weight=1.0, end=1.0, gain=1.0, other=P[3]):
@@ -45,6 +46,8 @@ CASES = {  # problem; psi
     "a product with the context": (problem_of(P[0] * C), EVEN),
     "a steep polynomial": (problem_of((1e6 * (P[0] - 1.3) + 1) ** 2 + 1), EVEN),
     "steep at the end": (problem_of(1, 1e6 * (P[0] - 1.3)), [1.3 + 1e-7, -0.4, 2.0, 0.7]),
+    "steep to the left alone": (problem_of(MOVES**2 - MOVES + 1), EVEN),
+    "steep to the right alone": (problem_of(MOVES**2 + MOVES + 1), EVEN),
     "a steep gain": (problem_of(gain=1e6 * (P[0] - 1.3)), [1.3 + 1e-7, -0.4, 2.0, 0.7]),
     "weights that are no parameters": (problem_of(), [0.0, 0.0, 0.0, 1.0]),
     "no weights, and a parameter of zero": (problem_of(other=1), [0.0, -0.4, 2.0, 0.7]),
