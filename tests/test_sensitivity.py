@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import statements
 from dense_kkt import derivative, unknowns
+from kkt_in_c import derivatives_of, linearise
 from problems import TABLE, ScalarLQR, lqr, quadratic, response
 from reference.problems import minimum_time
 
@@ -16,6 +17,7 @@ from kpirl_ocp import OCP, Implicit, Ipopt, Riccati, Status, Trajectory, sensiti
 from kpirl_ocp.errors import CertificateError, ProblemError
 from kpirl_ocp.irl.hypergradients.implicit import differentiate
 from kpirl_ocp.ocp.problem.layout import pack
+from kpirl_ocp.ocp.sensitivity.kkt_system import at_solution
 
 S, U = ca.SX.sym("s"), ca.SX.sym("u")
 ROWS = [*((name, 0.0) for name in TABLE), ("integrator", 1e-3), ("tanh network", 1e-4)]
@@ -111,6 +113,34 @@ def test_products_are_adjoint_to_each_other(name):
     one = np.sum(by_states * pushed.states) + np.sum(by_actions * pushed.actions)
     other = sum(getattr(pulled, name) @ move for name, move in moves.items())
     np.testing.assert_allclose(one, other, rtol=1e-8)
+
+
+def beside(solution, length):
+    """The solution with a plan that is off by a relative length."""
+    rng, size = np.random.default_rng(5), length * max(np.abs(solution.states).max(), np.abs(solution.actions).max())
+    states, actions = (x + size * rng.normal(size=x.shape) for x in (solution.states, solution.actions))
+    return replace(solution, trajectory=Trajectory(np.array([solution.states[0], *states[1:]]), actions))
+
+
+@pytest.mark.parametrize("length", [1e-7, 1e-6, 1e-5])
+@pytest.mark.parametrize("name", TABLE)
+def test_gradients_beside_a_solution_are_those_at_it(name, length):
+    case, solution = solved(name)
+    near, by = beside(solution, length), slopes(solution)
+    expected, found = (sensitivity(case.problem, at).pull(*by) for at in (solution, near))
+    assert 1e-8 < found.certificate.distance < 100 * length
+    for part in ("psi", "s0", "context"):
+        scale = np.abs(getattr(expected, part)).max(initial=0)
+        np.testing.assert_allclose(getattr(found, part), getattr(expected, part), rtol=0, atol=1e-7 * scale)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_the_kkt_system_beside_a_solution_has_the_derivatives_of_the_point_to_which_a_newton_step_leads(name):
+    case, solution = solved(name)
+    system = at_solution(case.problem, beside(solution, 1e-7))
+    found, expected = derivatives_of(system), derivatives_of(linearise(system.instance, system.point))
+    for part in ("gradient", "F", "G", "E", "H"):
+        np.testing.assert_array_equal(getattr(found, part), getattr(expected, part))
 
 
 @pytest.mark.parametrize("name", ["lqr", "integrator", "tanh network"])

@@ -167,7 +167,8 @@ KKT = _structure(
     row_factors=Factors,
     **dict.fromkeys(("origin", "shares", "tangent", "matrices", "work"), POINTER),
     **dict.fromkeys(("lowest", "qualification", "step", "margin", "distance"), REAL),
-    **dict.fromkeys(("evaluated", "factored", "immovable", "conditioned", "stepped", "reached", "borrowed"), INT),
+    **dict.fromkeys(("evaluated", "factored", "immovable", "conditioned", "stepped", "reached"), INT),
+    **dict.fromkeys(("borrowed", "stale"), INT),
 )
 Evidence = _structure(
     "Evidence",
@@ -185,6 +186,7 @@ _OF_SYSTEMS = {
     "kkt_set_solution": 2,
     "kkt_linearise": 4,
     "kkt_evaluate": 2,
+    "kkt_renew": 2,
     "kkt_select": 2,
     "kkt_condition": 1,
     "kkt_solve": 3,
@@ -259,8 +261,7 @@ def _levels() -> list[str]:
     """The builds that this processor runs, fastest first (x86-64 levels of the psABI)."""
     if platform.machine() not in ("x86_64", "AMD64"):
         return [""]
-    cpu = _cpu_flags()
-    levels = [""]
+    cpu, levels = _cpu_flags(), [""]
     if {"avx2", "fma", "bmi2"} <= cpu:
         levels.insert(0, "_v3")
         if {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"} <= cpu:
@@ -279,7 +280,7 @@ def _cpu_flags() -> set[str]:
 
 def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
     core.kpirl_mpc_count_core.argtypes = [POINTER] * 4
-    core.kpirl_mpc_core_size.restype = ctypes.c_size_t
+    core.kpirl_mpc_core_size.restype = core.kpirl_mpc_kkt_init.restype = ctypes.c_size_t
     core.kpirl_mpc_core_init.restype = POINTER
     for name in ("n_point", "n_inequalities", "n_equalities"):
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER]
@@ -294,5 +295,4 @@ def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
     core.kpirl_mpc_certify_each.restype = None
     for name in ("kkt_solve", "kink_in_parameters", "kink_of_loss"):
         getattr(core, f"kpirl_mpc_{name}").restype = REAL
-    core.kpirl_mpc_kkt_init.restype = ctypes.c_size_t
     return core

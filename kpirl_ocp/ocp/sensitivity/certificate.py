@@ -85,7 +85,7 @@ class SensitivityCertificate(Certificate):
         complementarity), relative to the terms that it balances or consists of; infinite without inequalities.
     change: relative change of the adjoint under that step; for a tangent, of the adjoint of a function with the tangent
         as its gradient. Small if the solution is close enough to be differentiated. Zero for quadratic programs, whose
-        second derivatives are constant.
+        second derivatives are constant. Where second derivatives of the solution served on, it is the change from them.
     kink: relative disagreement of derivatives with finite differences to either side, along the adjoint or tangent and
         along psi, s_0 and the context. Large where the problem is not smooth. Quadratic programs are not tested along
         x, and without psi and context not along s_0.

@@ -132,7 +132,8 @@ class KKTSystem:
         """Set point, derivatives and active rows for a solution of the instance.
 
         Newton steps lead from the solution to a more exact point where that is needed
-        (`SensitivityCertificate.distance`). Derivatives that are not given are evaluated by the core.
+        (`SensitivityCertificate.distance`). Derivatives that are not given are evaluated by the core; after a short
+        step second ones stay those of the solution, until `renew`.
         """
         row, known = as_row(self.instance.problem, solution), None
         if derivatives is not None:
@@ -140,6 +141,10 @@ class KKTSystem:
             known = ctypes.addressof(view)
         given = self.address, core.address, c.address_of(row), known
         self.finite = bool(self._library.kpirl_mpc_kkt_linearise(*given))
+
+    def renew(self, core: Core) -> None:
+        """Evaluate second derivatives where those of a point close by have served."""
+        self._library.kpirl_mpc_kkt_renew(self.address, core.address)
 
     @property
     def active(self) -> Mask:
@@ -212,4 +217,5 @@ def at_solution(problem: OCP, solution: Solution) -> KKTSystem:
     system = KKTSystem(Instance.of(problem, solution))
     with borrow_core(problem) as core:
         system.linearise_at(solution, core, None)
+        system.renew(core)
     return system

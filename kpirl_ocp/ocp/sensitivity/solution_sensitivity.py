@@ -155,6 +155,7 @@ class Sensitivity:
             if not at.system.finite:
                 states, actions = (np.full_like(part, np.nan) for part in (self.solution.states, self.solution.actions))
                 return Tangent(states, actions, self._certificate(at, None))
+            at.system.renew(core)
             function = ImplicitFunction(at.system, Factorisation(at.system))
             change, residual = function.push(ByParameters(dpsi, ds0, dcontext))
             _, evidence = measure(core, at.system, at.nearby, change.x, change.x)

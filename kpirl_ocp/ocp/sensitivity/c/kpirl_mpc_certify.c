@@ -7,6 +7,9 @@
  * multiplier of an active row and slack of an inactive one positive after it; and the adjoint, solved again after it, must be
  * the same. The step is lengthened by 1e-9 along the lowest mode of the reduced Hessian, because no solution is known better than
  * that: at a fold or a flat minimum the adjoint then explodes.
+ *
+ * Where a short step has polished the point, second derivatives are stale, K(v_0) instead of K(v). Differences of first ones
+ * are products with K(v), and one step of refinement, a += K(v_0)^{-1} (r - K(v) a), finds the adjoint there.
  */
 #include "kpirl_mpc_kkt.h"
 
@@ -19,7 +22,7 @@ static const real CURVED = (real)0.1;      /* share of the terms of a slope that
 static const real BENT = (real)1e-3;       /* ... or of the terms that conditions are made of */
 static const real STILL = (real)1e-3;      /* relative move of a plan that hardly moves */
 static const real ROUNDING = (real)1e-14;  /* of these */
-static const real TANGENT = (real)1e-11;    /* relative residual of a tangent */
+static const real TANGENT = (real)1e-8;    /* relative residual of a tangent, whose right-hand side is a difference that rounds */
 
 /* ---- gradients ----------------------------------------------------------------------------------------------------- */
 
@@ -33,6 +36,7 @@ real kpirl_mpc_kkt_adjoint(kpirl_mpc_kkt *k, const real *slope) {
   kpirl_mpc_place_triple(s, k->work, &right);
   memset(right.x, 0, (size_t)kpirl_mpc_system_n_triple(s) * sizeof(real));
   memcpy(right.x, slope, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
+  memset(k->adjoint.start, 0, (size_t)s->n_states * sizeof(real));
   return kpirl_mpc_kkt_solve(k, &right, &k->adjoint);
 }
 
@@ -70,7 +74,7 @@ static void add_slope(const kpirl_mpc_kkt *k, const real *slope, const kpirl_mpc
   int i;
   for (i = 0; i < k->dimensions.n_parameters; ++i) by->psi[i] = -by->psi[i];
   for (i = 0; i < k->dimensions.n_context; ++i) by->context[i] = -by->context[i];
-  for (i = 0; i < k->system.n_states; ++i) by->s0[i] = slope[i] - by->s0[i];
+  for (i = 0; i < k->system.n_states; ++i) by->s0[i] = slope[i] - by->s0[i] + k->adjoint.start[i];
   for (i = 0; i < k->system.n_free; ++i) by->s0[k->system.free[i]] = 0;
 }
 
@@ -171,13 +175,16 @@ static real find_change(const kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc
   return kpirl_mpc_kkt_change(k, nearby, slope, &nearby->adjoint);
 }
 
-/* Both by first derivatives alone, which see small changes where there is no kink; returns whether these are. */
-static int find_both(const kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, kpirl_mpc_evidence *evidence) {
+/* Both by first derivatives alone, which see small changes where there is no kink; returns whether these are. An adjoint of matrices
+ * that are stale becomes the one nearby. */
+static int find_both(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, kpirl_mpc_evidence *evidence) {
   kpirl_mpc_triple residual;
   kpirl_mpc_place_triple(&k->system, nearby->work, &residual);
   evidence->kink = kpirl_mpc_kink_nearby(k, nearby, core, &k->adjoint, &residual);
   if (!(evidence->kink <= KPIRL_MPC_NO_KINK)) return 0;
-  evidence->change = kpirl_mpc_system_first_change(&k->system, &residual, &k->adjoint);
+  if (k->stale) memcpy(k->adjoint.start, residual.x, (size_t)k->system.n_states * sizeof(real));
+  evidence->change = k->stale ? kpirl_mpc_system_follow(&k->system, &residual, &k->adjoint)
+                               : kpirl_mpc_system_first_change(&k->system, &residual, &k->adjoint);
   return evidence->change <= HARDLY;
 }
 
@@ -189,6 +196,12 @@ static void look_around(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core 
   evidence->change = evidence->kink = 0;
   if (k->rows->quadratic && !smoothed) return;
   if (!direction && !smoothed && find_both(k, nearby, core, evidence)) return;
+  if (k->stale) {
+    kpirl_mpc_kkt_renew(k, core);
+    evidence->linear_residual = kpirl_mpc_kkt_adjoint(k, slope);
+    look_around(k, nearby, core, slope, direction, evidence);
+    return;
+  }
   evidence->change = find_change(k, nearby, core, slope);
   evidence->kink = k->rows->quadratic ? 0 : kpirl_mpc_kink_along(k, core, direction ? direction : k->adjoint.x);
 }
@@ -202,8 +215,6 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
   evidence->linear_residual = kpirl_mpc_kkt_adjoint(k, slope);
   kpirl_mpc_kkt_condition(k);
   evidence->distance = k->distance;
-  evidence->curvature = k->lowest;
-  evidence->qualification = k->qualification;
   evidence->step = evidence->change = evidence->kink = (real)INFINITY;
   evidence->margin = (real)NAN;
   finite = kpirl_mpc_all_finite(adjoint->x, n_w) && (!direction || kpirl_mpc_all_finite(direction, n_w));
@@ -212,6 +223,8 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
     evidence->step = k->step;
     evidence->margin = k->margin;
   }
+  evidence->curvature = k->lowest;
+  evidence->qualification = k->qualification;
   kpirl_mpc_kkt_pull(k, function, adjoint, by);
   if (finite)
     evidence->kink = kpirl_mpc_worse(evidence->kink, kpirl_mpc_kink_in_parameters(k, core, function, adjoint, by));

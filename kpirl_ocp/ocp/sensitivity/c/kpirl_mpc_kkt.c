@@ -100,7 +100,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
 
 /* ---- derivatives --------------------------------------------------------------------------------------------- */
 
-static void forget(kpirl_mpc_kkt *k) { k->factored = k->borrowed = k->conditioned = k->stepped = k->reached = 0; }
+static void forget(kpirl_mpc_kkt *k) { k->factored = k->borrowed = k->stale = k->conditioned = k->stepped = k->reached = 0; }
 
 /* Both triangles of the Hessian into `place`: products with them take a quarter of the time. */
 static const real *take_hessian(const kpirl_mpc_system *s, const real *lower, real *place) {
@@ -151,23 +151,35 @@ kpirl_mpc_start kpirl_mpc_start_at(const kpirl_mpc_system *s, const kpirl_mpc_tr
   return at;
 }
 
+/* Values at the point; returns whether a function failed. */
+static int evaluate(kpirl_mpc_kkt *k, kpirl_mpc_core *core, int level, kpirl_mpc_view *view) {
+  const kpirl_mpc_start at = kpirl_mpc_start_at(&k->system, &k->point);
+  const int failed = kpirl_mpc_core_evaluate_at(core, &k->numbers, &at, level);
+  kpirl_mpc_core_view(core, view);
+  take_values(k, view);
+  forget(k);
+  return failed;
+}
+
 void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
   kpirl_mpc_system *s = &k->system;
   const size_t T = (size_t)s->horizon, n_s = (size_t)s->n_states, n_x = n_s + (size_t)s->n_actions;
   const size_t n_h = (size_t)s->n_path, n_e = (size_t)s->n_equality;
-  const kpirl_mpc_start at = kpirl_mpc_start_at(s, &k->point);
   kpirl_mpc_view view;
   real *place = k->matrices, *hessian;
-  const int failed = kpirl_mpc_core_evaluate_at(core, &k->numbers, &at, KPIRL_MPC_SECOND);
-  kpirl_mpc_core_view(core, &view);
-  take_values(k, &view);
+  const int failed = evaluate(k, core, KPIRL_MPC_SECOND, &view);
   s->F = keep(view.F, T * n_s * n_x, failed, &place);
   s->G = keep(view.G, T * n_x * n_h + n_s * (size_t)s->n_terminal, failed, &place);
   s->E = keep(view.E, T * n_x * n_e + n_s * (size_t)s->n_terminal_equality, failed, &place);
   hessian = place;
   keep(view.H, T * n_x * n_x + n_s * n_s, failed, &place);
   s->H = take_hessian(s, hessian, hessian);
-  forget(k);
+}
+
+void kpirl_mpc_kkt_update(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
+  kpirl_mpc_view view;
+  if (evaluate(k, core, KPIRL_MPC_FIRST, &view)) k->gradient[0] = (real)NAN;
+  k->stale = !k->rows->quadratic;
 }
 
 /* ---- active rows ------------------------------------------------------------------------------------------------ */

@@ -57,7 +57,7 @@ typedef struct kpirl_mpc_kkt {
   kpirl_mpc_dimensions dimensions;
   kpirl_mpc_numbers numbers;
   kpirl_mpc_triple point;   /* x, costates and multipliers of the rows; start is not used */
-  kpirl_mpc_triple adjoint; /* of a function */
+  kpirl_mpc_triple adjoint; /* of a function; start: error of the rows of s_0 of their product with it where matrices are stale */
   kpirl_mpc_triple move;    /* the Newton step */
   real barrier, objective;
   real *gradient, *defects; /* of the Lagrangian without bounds (n_w); f - s_next */
@@ -76,6 +76,7 @@ typedef struct kpirl_mpc_kkt {
   real distance;              /* kpirl_mpc_kkt_polish */
   int evaluated, factored, immovable, conditioned, stepped, reached; /* what is known; immovable: does no decision move some active row? */
   int borrowed; /* are the factors those of a point close by? */
+  int stale;    /* are the matrices? */
 } kpirl_mpc_kkt;
 
 /* Measurements, as in Python's SensitivityCertificate. */
@@ -108,6 +109,11 @@ void kpirl_mpc_kkt_set_solution(kpirl_mpc_kkt *kkt, const real *solution);
  * e and e_T. */
 void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core);
 void kpirl_mpc_kkt_set_derivatives(kpirl_mpc_kkt *kkt, const kpirl_mpc_view *derivatives);
+
+/* The gradient of the Lagrangian and values alone at kkt->point: the matrices stay those of a point close by. And matrices at
+ * kkt->point, where they are stale. */
+void kpirl_mpc_kkt_update(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core);
+void kpirl_mpc_kkt_renew(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core);
 
 /* x (n_w) of S (T+1, n_s) and U (T, n_u). */
 void kpirl_mpc_by_stage(const kpirl_mpc_dimensions *dimensions, const real *states, const real *actions, real *x);

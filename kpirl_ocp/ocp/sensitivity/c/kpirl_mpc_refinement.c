@@ -220,6 +220,14 @@ real kpirl_mpc_system_first_change(const kpirl_mpc_system *s, kpirl_mpc_triple *
   return kpirl_mpc_decision_norm(s, solve_once(s, residual)) / kpirl_mpc_decision_norm(s, point->x);
 }
 
+real kpirl_mpc_system_follow(const kpirl_mpc_system *s, kpirl_mpc_triple *residual, kpirl_mpc_triple *point) {
+  const real whole = kpirl_mpc_decision_norm(s, point->x);
+  real *work = s->scratch + kpirl_mpc_system_inner_scratch(s);
+  memset(work, 0, (size_t)s->n_states * sizeof(real));
+  only_equations(s, work, work, residual);
+  return correct(s, residual, point, work) / whole;
+}
+
 real kpirl_mpc_system_reach(const kpirl_mpc_system *s, kpirl_mpc_triple *right) {
   return kpirl_mpc_point_norm(s, solve_once(s, right));
 }

@@ -134,14 +134,24 @@ static int inside(const kpirl_mpc_kkt *k) {
   return 1;
 }
 
-/* Stand at the point, with the same active rows, and with the same factors and units where it is `close` to the last; returns
- * whether that is a place to be. */
+/* Stand at the point, with the same active rows, and with the same factors and units where it is `close` to the last, and without a
+ * barrier the same matrices; returns whether that is a place to be. */
 static int stand_again(kpirl_mpc_kkt *k, kpirl_mpc_core *core, int close) {
   int finite;
-  kpirl_mpc_kkt_evaluate(k, core);
+  if (close && !(k->barrier > 0))
+    kpirl_mpc_kkt_update(k, core);
+  else
+    kpirl_mpc_kkt_evaluate(k, core);
   finite = close ? kpirl_mpc_kkt_select_again(k) : kpirl_mpc_kkt_select(k, k->system.active);
-  k->factored = k->borrowed = close;
+  k->factored = close;
+  k->borrowed = close && !k->stale;
   return finite && inside(k);
+}
+
+void kpirl_mpc_kkt_renew(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
+  if (!k->stale) return;
+  kpirl_mpc_kkt_evaluate(k, core);
+  k->factored = k->borrowed = 1;
 }
 
 /* Go along the step if the next one is much shorter, else stay; returns whether it went. */

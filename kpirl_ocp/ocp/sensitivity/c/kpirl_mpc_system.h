@@ -100,6 +100,7 @@ real kpirl_mpc_system_change(const kpirl_mpc_system *system, const kpirl_mpc_sys
 
 /* That change to first order, by one substitution, from the residual that point has in the system nearby, which is overwritten. */
 real kpirl_mpc_system_first_change(const kpirl_mpc_system *system, kpirl_mpc_triple *residual, const kpirl_mpc_triple *point);
+real kpirl_mpc_system_follow(const kpirl_mpc_system *system, kpirl_mpc_triple *residual, kpirl_mpc_triple *point); /* point changes */
 
 /* The length over x, in units of its sizes, of the solution for a right-hand side, which is overwritten, by one substitution. */
 real kpirl_mpc_system_reach(const kpirl_mpc_system *system, kpirl_mpc_triple *right);
