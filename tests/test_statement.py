@@ -149,3 +149,14 @@ def test_the_problems_of_the_other_tests_are_pickled_before_and_after_use(name):
     found = Riccati().solve(case.problem, *arguments)
     copy = pickle.loads(pickle.dumps(case.problem))
     np.testing.assert_array_equal(Riccati().solve(copy, *arguments).actions, found.actions)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "start"),
+    [((1, 4), 2.5), ((1, np.inf), 1), ((-np.inf, -2), -2), ((-np.inf, 3), 0), ((-np.inf, np.inf), 0)],
+)
+def test_a_static_decision_starts_from_the_middle_of_its_bounds_or_nearest_to_zero(bounds, start):
+    s, u, q = (ca.SX.sym(name) for name in "suq")
+    given = {"state": s, "action": u, "horizon": 2, "dynamics": s + q * u, "stage_cost": s**2 + u**2}
+    problem = OCP.from_expressions(**given, static=q, static_bounds=bounds)
+    np.testing.assert_array_equal(problem.inputs([0.5], (), ())[0], [0.5, start])

@@ -327,3 +327,39 @@ def test_log_shows_every_iteration(capfd):
     lines = capfd.readouterr().err.splitlines()
     assert len(lines) == 1 + found.iterations
     assert float(lines[-1].split()[1]) == pytest.approx(found.objective, rel=1e-7)
+
+
+@pytest.mark.parametrize("barrier", [0.0, 1e-3])
+def test_an_entry_whose_bounds_coincide_is_an_equality_to_the_audit(barrier):
+    """Also with a barrier: its slack is zero, whatever tau is."""
+    s, u = ca.SX.sym("s"), ca.SX.sym("u", 2)
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=3,
+        dynamics=s + u[0] + u[1],
+        stage_cost=(s - 2) ** 2 + ca.sumsqr(u),
+        action_bounds=([0.3, -1], [0.3, 1]),
+    )
+    found = Riccati(barrier=barrier).solve(problem, [0])
+    measured = audit(problem, found.psi, found.context, found.trajectory, found.multipliers, barrier)
+    assert found.status is Status.CONVERGED
+    assert max(measured.worst, measured.complementarity, found.residuals.worst) < 1e-9
+    assert (np.abs(found.multipliers.action[:-1, 0]) > 0.1).all()
+    moved = replace(found.trajectory, actions=found.actions + [0.1, 0])
+    assert audit(problem, found.psi, found.context, moved, found.multipliers, barrier).feasibility > 0.09
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_wrong_multiplier_of_a_bound_on_both_sides_shows_by_the_slack_of_the_nearer_one(side):
+    """With a barrier both sides push, and the farther one, whose slack is large, is known best: with tau / slack."""
+    s, u, tau, off = ca.SX.sym("s"), ca.SX.sym("u"), 1e-3, 1e-4
+    given = {"state": s, "action": u, "horizon": 1, "dynamics": s, "action_bounds": (-1, 1)}
+    problem = OCP.from_expressions(**given, stage_cost=(u - 3 * side) ** 2)
+    found = Riccati(barrier=tau).solve(problem, [0])
+    wrong = replace(found.multipliers, action=found.multipliers.action + off)
+    at = problem, found.psi, found.context, found.trajectory
+    assert audit(*at, found.multipliers, tau).complementarity < 1e-10
+    slack = 1 - abs(found.actions[0, 0])
+    assert slack < 1e-3
+    assert audit(*at, wrong, tau).complementarity == pytest.approx(off * slack, rel=1e-3)
