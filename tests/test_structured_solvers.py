@@ -346,7 +346,7 @@ def test_an_entry_whose_bounds_coincide_is_an_equality_to_the_audit(barrier):
     assert found.status is Status.CONVERGED
     assert max(measured.worst, measured.complementarity, found.residuals.worst) < 1e-9
     assert (np.abs(found.multipliers.action[:-1, 0]) > 0.1).all()
-    moved = replace(found.trajectory, actions=found.actions + [0.1, 0])
+    moved = replace(found.trajectory, actions=found.actions + np.array([0.1, 0]))
     assert audit(problem, found.psi, found.context, moved, found.multipliers, barrier).feasibility > 0.09
 
 
