@@ -15,7 +15,7 @@ pytest.importorskip("pybullet")
 pytest.importorskip("torch")
 from films import WALL, film, pose, shaken
 
-from kpirl_ocp.assets import iiwa_urdf
+from kpirl_ocp.assets import iiwa_urdf, shipped_model
 from kpirl_ocp.cli.commands import learn_video
 from kpirl_ocp.cli.imitation.arm import Scale, arm_for, other_starts
 from kpirl_ocp.cli.imitation.checks import check_cost_arm
@@ -466,6 +466,13 @@ def test_a_refusal_tells_the_times_that_start_and_end_mean(tmp_path, moving_film
     words = ["learn-video", str(moving_film), "--tracks", str(tmp_path / "jump.npz"), "--scale", "1"]
     assert run([*words, "--start", "0.4", "--out", str(tmp_path)]) == 2
     assert "jump at 1.00 s" in capsys.readouterr().err
+
+
+def test_a_detector_that_does_not_know_the_object_is_refused_with_what_to_do(tmp_path, moving_film, capsys):
+    words = ["learn-video", str(moving_film), "--detector", str(shipped_model("detector")), "--scale", "1"]
+    assert run([*words, "--out", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert re.search(r"not seen for sure from 0\.00 to 1\.30 s .*to follow something else, leave --detector out", said)
 
 
 def test_the_person_and_the_arm_are_shown_at_the_same_share_of_the_way(tmp_path, moving_film):

@@ -135,10 +135,12 @@ def _admit(args: Namespace, film: Film, tracks: Tracks) -> None:
 
 
 def _guess(args: Namespace) -> str:
-    """Advice on what was marked, or for a film in which nothing was."""
+    """Advice on what was marked or is detected, or for a film in which nothing was."""
     if args.box or args.points:
         return f" What was marked is outlined in {args.out / 'object.png'}: if that is not the object, mark it again."
-    if args.tracks or args.hand or args.detector:
+    if args.detector:
+        return " A detector finds what it was trained on: to follow something else, leave --detector out."
+    if args.tracks or args.hand:
         return ""
     return (
         f" Nothing was marked, so whatever moves was followed: if {args.out / 'object.png'} does not outline the "
