@@ -152,8 +152,8 @@ int kpirl_mpc_sqp_stops(void *watch, int iterations, real violation, real statio
   const kpirl_mpc_settings *settings = &mpc->settings;
   mpc->work.iterations = iterations;
   if (violation < settings->tolerance && stationarity < settings->tolerance) return 1;
-  mpc->work.late = kpirl_mpc_out_of_time(mpc);
-  return mpc->work.late || iterations >= settings->max_iterations;
+  mpc->work.out_of_time = kpirl_mpc_out_of_time(mpc);
+  return mpc->work.out_of_time || iterations >= settings->max_iterations;
 }
 
 /* 0, unless it could not go on: then the guess is all there is. */
@@ -176,7 +176,7 @@ static int call_solver(kpirl_mpc *mpc) {
   to.x = work->w;
   to.lam_x = work->of_w;
   to.lam_g = work->of_rows;
-  work->iterations = work->late = 0;
+  work->iterations = work->out_of_time = 0;
   return kpirl_mpc_sqp(&mpc->scratch, &at, &to);
 }
 
@@ -185,7 +185,7 @@ static kpirl_mpc_status end(const kpirl_mpc *mpc, const kpirl_mpc_solution *solu
   const int finite = isfinite(solution->objective) && isfinite(solution->residual);
   if (!finite || !kpirl_mpc_all_finite(work->w, NW)) return KPIRL_MPC_NOT_FINITE;
   if (solution->residual <= mpc->settings.tolerance) return KPIRL_MPC_CONVERGED;
-  if (work->late) return KPIRL_MPC_TIME_LIMIT;
+  if (work->out_of_time) return KPIRL_MPC_TIME_LIMIT;
   return work->iterations >= mpc->settings.max_iterations ? KPIRL_MPC_ITERATION_LIMIT : KPIRL_MPC_STALLED;
 }
 

@@ -14,7 +14,7 @@ typedef struct kpirl_mpc_workspace {
   kpirl_mpc_real numbers[KPIRL_MPC_AT_LEAST_ONE(KPIRL_MPC_N_PARAMETERS + KPIRL_MPC_N_CONTEXT)]; /* psi, c */
   kpirl_mpc_real w[KPIRL_MPC_N_POINT], of_w[KPIRL_MPC_N_POINT], of_rows[KPIRL_MPC_N_ROWS]; /* found, with multipliers */
   kpirl_mpc_real rows[KPIRL_MPC_N_ROWS], cost_gradient[KPIRL_MPC_N_POINT], gradient[KPIRL_MPC_N_POINT];
-  int iterations, late; /* quadratic programs solved; was it the clock that stopped it? */
+  int iterations, out_of_time; /* quadratic programs solved; was it the clock that stopped it? */
 } kpirl_mpc_workspace;
 
 #endif
