@@ -8,7 +8,7 @@ import pytest
 from exported import STRICT, folder
 from problems import TABLE
 
-from kpirl_ocp import OCP, SQP, GradientDescent, Riccati, Status, Trajectory
+from kpirl_ocp import OCP, SQP, GradientDescent, Riccati, Soft, Status, Trajectory
 from kpirl_ocp.errors import CompilerError, FileError, ProblemError
 from kpirl_ocp.ocp.codegen.portable_c import portable
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
@@ -34,6 +34,25 @@ def loaded(solver=Riccati()):  # noqa: B008
     out, case = folder("integrator", solver)
     seen = case.demonstration
     return ExportedSolver(out, STRICT), case.problem, (seen.s0, case.psi, seen.context)
+
+
+def test_the_page_of_a_folder_says_which_states_and_actions_are_not_the_users(tmp_path):
+    q = ca.MX.sym("q")
+    problem = OCP.from_expressions(
+        state=S,
+        action=U,
+        static=q,
+        dynamics=S + U,
+        stage_cost=U**2,
+        terminal_cost=q**2,
+        soft=Soft(S - q, 1.0),
+        horizon=3,
+    )
+    page = (export_c(problem, Riccati(), tmp_path / "controller") / "README.md").read_text()
+    assert (
+        "added after your own states: static decisions = 1, slacks at s_T = 2; after your own actions: slacks = 2"
+        in page
+    )
 
 
 # ---- arguments -------------------------------------------------------------------------------------------------------

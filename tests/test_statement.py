@@ -11,7 +11,7 @@ from problems import TABLE
 from statements import CASES, GRID, NUMBERS, TWO, D, S, T, U, state
 from statements_opti import optimum
 
-from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Riccati, Soft, Status
+from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Riccati, Soft, Status, discretise
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
 
@@ -128,6 +128,46 @@ def test_bounds_survive_another_horizon_where_they_are_the_same_at_every_stage()
     longer = replace(problem, horizon=20)
     np.testing.assert_array_equal(longer.action_bounds[1], np.full((20, 1), 2.0))
     np.testing.assert_array_equal(longer.state_bounds[1], np.tile([4.0, 5.0], (21, 1)))
+
+
+@pytest.mark.parametrize(
+    ("bounds", "start"),
+    [
+        ((0.1, 10), 5.05),
+        ((-np.inf, np.inf), 0),
+        ((-1, np.inf), 0),
+        ((0, np.inf), 1),
+        ((2, np.inf), 3),
+        ((-np.inf, -2), -3),
+    ],
+    ids=str,
+)
+def test_a_static_decision_that_s0_omits_starts_between_its_bounds_and_on_none(bounds, start):
+    q = ca.MX.sym("q")
+    problem = state(static=q, static_bounds=bounds, terminal_cost=q**2)
+    s0, *_ = problem.inputs([1, 2], (), ())
+    np.testing.assert_array_equal(s0, [1, 2, start])
+    s0, *_ = problem.inputs([1, 2, 4], (), ())
+    np.testing.assert_array_equal(s0, [1, 2, 4])
+
+
+@pytest.mark.parametrize("bounds", [(0, np.inf), (0, 10)], ids=str)
+def test_a_lap_in_free_time_needs_no_guess(bounds):
+    """CasADi's example of a race car, whose speed limit depends on the place; the shortest time as by Ipopt."""
+    s, u, q = ca.SX.sym("s", 2), ca.SX.sym("u"), ca.SX.sym("q")
+    lap = OCP.from_expressions(
+        state=s,
+        action=u,
+        static=q,
+        static_bounds=bounds,
+        dynamics=discretise(ca.vertcat(s[1], u - s[1]), s, step=q / 100),
+        terminal_cost=q,
+        path_constraint=s[1] - 1 + ca.sin(2 * ca.pi * s[0]) / 2,
+        action_bounds=(0, 1),
+        terminal_equality=s[0] - 1,
+        horizon=100,
+    )
+    assert lap.static_of(Riccati().solve(lap, [0, 0]).raise_if_failed()) == pytest.approx([1.9046340436], abs=1e-9)
 
 
 def test_dynamics_that_see_the_context_are_simulated_with_it():

@@ -152,6 +152,9 @@ def _around(problem: OCP, solver: Solver, code: Iterable[str]) -> dict[str, str]
         "VERSION": version("kpirl-ocp"),
         "SOLVER": str(solver),
         **{key: str(value) for key, value in dimensions(problem).items()},
+        "STATIC": str(len(problem.additions.static)),
+        "END_SLACKS": str(problem.additions.end_slacks),
+        "SLACKS": str(problem.additions.slacks),
     }
     files = {name: templates.read(name) for name in _AROUND}
     for word, replacement in words.items():

@@ -135,8 +135,9 @@ class OCP(Arrays):
                 static; these become rows of the path constraint, so that they are differentiated.
             static: q (n_q,), decisions that do not change over the horizon, for use in every expression; they are
                 added to the state (`static_of` reads them). s0 may be given without them; with them, their values are
-                where a solve without `guess` starts (else at 0, or beside it within the bounds).
-            static_bounds: (lower, upper) of q, each a number or (n_q,).
+                where a solve without `guess` starts.
+            static_bounds: (lower, upper) of q, each a number or (n_q,). Left out of s0, q starts in the middle; if one
+                of them is infinite, at zero, or at lower + 1 or upper - 1 where zero is not between them.
             soft: a constraint that may be violated at a price; its slacks are added to the actions, and one for every
                 row on states alone to the state (`stated` leaves them out).
         """

@@ -107,7 +107,7 @@ kpirl_mpc_status kpirl_mpc_set_parameters(kpirl_mpc *mpc, const kpirl_mpc_real *
 /* ---- solving ------------------------------------------------------------------------------------------------ */
 
 typedef struct kpirl_mpc_input {
-  const kpirl_mpc_real *state;    /* s_0 (n_s); free entries are not looked at, but must be finite */
+  const kpirl_mpc_real *state;    /* s_0 (n_s); without a guess, free entries are where the solve begins */
   const kpirl_mpc_real *context;  /* c (n_c), for example the goal; may be NULL when there is none */
   const kpirl_mpc_real *psi;      /* (n_psi); NULL: those of set_parameters */
   const kpirl_mpc_real *schedule; /* d (T+1, n_d); NULL: the exported one. Interior-point method alone. */

@@ -36,7 +36,11 @@ def check_static(draft: Draft, static: Expression) -> None:
 
 
 def _start(lower: Array, upper: Array) -> Array:
-    """The middle of bounds, or what is nearest to zero where one of them is infinite."""
+    """The middle of bounds; where one of them is infinite zero, or one unit off a bound that is in the way.
+
+    Not on the bound: a final time of zero, where nothing moves, tells a solver nothing about the time that it takes.
+    """
     bounded = np.isfinite(lower) & np.isfinite(upper)
+    nearest = np.clip(0.0, lower, upper)
     with np.errstate(invalid="ignore"):
-        return np.where(bounded, (lower + upper) / 2, np.clip(0.0, lower, upper))
+        return np.where(bounded, (lower + upper) / 2, nearest + (nearest == lower) - (nearest == upper))
