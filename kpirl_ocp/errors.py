@@ -97,6 +97,8 @@ def missing(name: str, error: ModuleNotFoundError, extras: Mapping[str, str] = E
     if package not in extras:
         return error
     remedy = f'pip install "kpirl-ocp[{extras[package]}]"'
+    if extras[package] == "perception" and sys.version_info >= (3, 12):
+        remedy += "; the simulated camera, which is part of it, needs Python 3.11 or 3.10"
     if package == "pybullet" and sys.version_info >= (3, 12):
         remedy = "it has no wheels for Python 3.12 and later, make an environment with Python 3.11 or 3.10"
     return DependencyError(f"{name} needs {package}, which is not installed: {remedy}.")

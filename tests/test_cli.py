@@ -26,6 +26,7 @@ from kpirl_ocp.cli.directory import results_in
 from kpirl_ocp.cli.main import COMMANDS, options_of, run
 from kpirl_ocp.cli.parser import build_parser
 from kpirl_ocp.cli.values import real, whole
+from kpirl_ocp.errors import missing
 from kpirl_ocp.irl.cases.cost_files import BASES
 from kpirl_ocp.irl.cases.examples import CASES
 from kpirl_ocp.irl.cases.tasks import TASKS
@@ -437,8 +438,19 @@ def test_a_missing_package_is_a_sentence_with_the_extra_that_brings_it(tmp_path)
     without = "import sys; sys.modules['torch'] = None; from kpirl_ocp.cli.main import main; main()"
     command = [sys.executable, "-c", without, "train-dynamics", "--detector", __file__, "--data", ".", "--test", "."]
     result = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path)
-    sentence = '`kpirl train-dynamics` needs torch, which is not installed: pip install "kpirl-ocp[perception]".'
-    assert (result.returncode, result.stdout, result.stderr) == (2, "", f"error: {sentence}\n")
+    sentence = '`kpirl train-dynamics` needs torch, which is not installed: pip install "kpirl-ocp[perception]"'
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.startswith(f"error: {sentence}")
+
+
+@pytest.mark.parametrize(("version", "camera"), [((3, 11), False), ((3, 12), True), ((3, 13), True)], ids=str)
+def test_where_pybullet_has_no_wheels_the_extra_is_said_to_lack_the_camera(version, camera, monkeypatch):
+    monkeypatch.setattr(sys, "version_info", version)
+    said = str(missing("`kpirl demo`", ModuleNotFoundError(name="torch")))
+    assert said.endswith('"; the simulated camera, which is part of it, needs Python 3.11 or 3.10.') == camera
+    assert said.endswith('[perception]".') != camera
+    other = str(missing("OCPLayer", ModuleNotFoundError(name="torch"), {"torch": "torch"}))
+    assert other == 'OCPLayer needs torch, which is not installed: pip install "kpirl-ocp[torch]".'
 
 
 def test_the_names_that_options_accept_are_those_of_the_package():
