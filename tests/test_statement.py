@@ -133,6 +133,8 @@ def test_bounds_survive_another_horizon_where_they_are_the_same_at_every_stage()
 @pytest.mark.parametrize(
     ("bounds", "start"),
     [
+        ((1, 4), 2.5),
+        ((-np.inf, 3), 0),
         ((0.1, 10), 5.05),
         ((-np.inf, np.inf), 0),
         ((-1, np.inf), 0),
@@ -189,14 +191,3 @@ def test_the_problems_of_the_other_tests_are_pickled_before_and_after_use(name):
     found = Riccati().solve(case.problem, *arguments)
     copy = pickle.loads(pickle.dumps(case.problem))
     np.testing.assert_array_equal(Riccati().solve(copy, *arguments).actions, found.actions)
-
-
-@pytest.mark.parametrize(
-    ("bounds", "start"),
-    [((1, 4), 2.5), ((1, np.inf), 1), ((-np.inf, -2), -2), ((-np.inf, 3), 0), ((-np.inf, np.inf), 0)],
-)
-def test_a_static_decision_starts_from_the_middle_of_its_bounds_or_nearest_to_zero(bounds, start):
-    s, u, q = (ca.SX.sym(name) for name in "suq")
-    given = {"state": s, "action": u, "horizon": 2, "dynamics": s + q * u, "stage_cost": s**2 + u**2}
-    problem = OCP.from_expressions(**given, static=q, static_bounds=bounds)
-    np.testing.assert_array_equal(problem.inputs([0.5], (), ())[0], [0.5, start])
