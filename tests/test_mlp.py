@@ -136,7 +136,7 @@ def test_hand_arranged_derivatives_are_those_of_ad(activation, output_activation
     found = [
         jvp(mlp, slopes, dx)[0],
         vjp(mlp, slopes, lam)[0],
-        vjp_tangent(mlp, slopes, lam, dx, dlam)[0],
+        vjp_tangent(mlp, vjp(mlp, slopes, lam)[2], jvp(mlp, slopes, dx)[1], dlam)[0],
         jacobian(mlp, slopes),
         second(mlp, prepare(mlp, slopes, lam))[1],
     ]
@@ -220,7 +220,7 @@ def test_columns_are_independent_points(activation):
             y,
             jvp(mlp, slopes, dx)[0],
             vjp(mlp, slopes, lam)[0],
-            vjp_tangent(mlp, slopes, lam, dx, dlam)[0],
+            vjp_tangent(mlp, vjp(mlp, slopes, lam)[2], jvp(mlp, slopes, dx)[1], dlam)[0],
             *flatten_slopes(slopes),
         ]
 

@@ -102,7 +102,7 @@ def results(passes, n_psi, horizon, columns):
     dS = passes.tangent(at, psi, dU)
     first = passes.adjoint(at, psi, Q)
     second = passes.adjoint_tangent(at, psi, first.memory, dS, dU, dQ)
-    return ca.Function("passes", [s0, psi, U, dU, Q, dQ], [at.states, dS, *first[:3], *second[:3]])
+    return ca.Function("passes", [s0, psi, U, dU, Q, dQ], [at.states, dS.states, *first[:3], *second[:3]])
 
 
 @pytest.mark.parametrize("columns", [1, 3, 4])

@@ -55,7 +55,7 @@ def _moves(
     by_states, by_actions = reduced.cost.first_along(at.rollout.states, at.rollout.actions, theta, by_theta)
     change = by_actions + reduced.passes.adjoint(at.rollout, psi, by_states).by_actions
     dU = solver.steps * solver.step_size * change
-    return reduced.passes.tangent(at.rollout, psi, dU), dU
+    return reduced.passes.tangent(at.rollout, psi, dU).states, dU
 
 
 def _own_size(psi: ca.MX) -> ca.MX:

@@ -42,7 +42,7 @@ def _values(problem: OCP, passes: TrajectoryPasses, columns: int) -> Array:
     at = passes.rollout(s0, actions, psi)
     moved, adjoint = passes.tangent(at, psi, moves), passes.adjoint(at, psi, slopes)
     change = passes.adjoint_tangent(at, psi, adjoint.memory, moved, moves, changes)
-    found = [at.states, moved, *adjoint[:3], *change[:3]]
+    found = [at.states, moved.states, *adjoint[:3], *change[:3]]
     rng = np.random.default_rng(0)
     numbers = [_SIZE * rng.normal(size=symbol.shape) for symbol in symbols]
     values = ca.Function("passes", symbols, [ca.densify(ca.veccat(*found))])(*numbers)

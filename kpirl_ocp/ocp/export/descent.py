@@ -50,7 +50,7 @@ def descent_back(problem: OCP) -> ca.Function:
     u, _, psi, context = inputs
     w = ca.MX.sym("w", *u.shape)
     dS = reduced.passes.tangent(at.rollout, psi, w)
-    by_states, by_actions, by_theta = reduced.cost.second(at.rollout.states, u, theta, dS, w)
+    by_states, by_actions, by_theta = reduced.cost.second(at.rollout.states, u, theta, dS.states, w)
     back = reduced.passes.adjoint_tangent(at.rollout, psi, at.adjoint.memory, dS, w, by_states)
     x = [ca.MX.sym("x", *share.shape) for share in by_theta]
     paired = ca.dot(theta.stages, x[0]) + ca.dot(theta.last, x[1])

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.activations import Slopes
-from kpirl_ocp.ocp.models.mlp import MLP, vjp, vjp_tangent
+from kpirl_ocp.ocp.models.mlp import MLP, jvp, vjp, vjp_tangent
 from kpirl_ocp.ocp.models.mlp_hessian import prepare, second
 from kpirl_ocp.types import Array
 
@@ -76,7 +76,7 @@ class NetworkDynamics:
 
     def Ft_lambda(self, slopes: list[Slopes], costates: ca.MX) -> ca.MX:
         """F' lambda (n_x, B) for costates (n_s, B)."""
-        by_network, _ = vjp(self.mlp, slopes, costates[: self.n_z, :])
+        by_network, *_ = vjp(self.mlp, slopes, costates[: self.n_z, :])
         theta = costates[self.n_z : self.n_z + self.n_joints, :]
         by_s = self._shift(costates) + by_network[: self.n_states, :]
         return ca.vertcat(by_s, theta + by_network[self.n_states :, :])
@@ -124,8 +124,10 @@ class LinearisedNetwork:
 
     def Ft_lambda_tangent(self, x: ca.MX, dcostates: ca.MX) -> ca.MX:
         """The change of `Ft_lambda`."""
-        adjoints = self._of_network(self.costates), x, self._of_network(dcostates)
-        by_network, _ = vjp_tangent(self.dynamics.mlp, self._slopes, *adjoints)
+        mlp = self.dynamics.mlp
+        *_, bent = vjp(mlp, self._slopes, self._of_network(self.costates))
+        _, tangents = jvp(mlp, self._slopes, x)
+        by_network, _ = vjp_tangent(mlp, bent, tangents, self._of_network(dcostates))
         return by_network + self.dynamics.linear.T @ dcostates
 
     def second(self) -> tuple[ca.Function, list[ca.MX]]:

@@ -7,7 +7,9 @@ share of the first layer is known for all times before z is, and
 
 leaves only W_z in the recursion over time; for few trajectories the rest is one matrix product for all times, and the
 same holds for the tangent and, transposed, for the adjoints. For many it stays within the stage, whose products are
-wide enough, and no array (n_1, T B) is moved. The rollout keeps the slopes of the activations.
+wide enough, and no array (n_1, T B) is moved. The rollout keeps the slopes of the activations; what is multiplied in
+the adjoint's tangent, sigma'' times the adjoint and da_l, is kept by adjoint and tangent, so that each pass takes one
+product with every weight.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from kpirl_ocp.ocp.models.mlp import (
     vjp_tangent,
 )
 from kpirl_ocp.ocp.problem.columns import largest_block, scan, symbols_like
-from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout
+from kpirl_ocp.ocp.problem.trajectory_passes import Adjoint, Memory, Rollout, Tangent
 from kpirl_ocp.types import Array
 
 
@@ -52,47 +54,43 @@ class NetworkPasses:
         inputs, far = self._drive_inputs(theta, actions, constant), [ca.MX(ca.DM.inf(*x.shape)) for x in self._nearest]
         z, *kept = scan(self._forward, z0, inputs, self.horizon, running=far)
         states = _stack(ca.horzcat(z0, z), theta, ca.repmat(velocity, 1, self.horizon + 1))
-        remembered = len(self._slopes)
-        least = [*(-largest_block(x, self.columns) for x in (states, actions)), *kept[remembered:]]
-        return Rollout(states, actions, tuple(kept[:remembered]), _stack(*least))
+        first, all_slopes = len(self._first), len(self._slopes)
+        least = [*(-largest_block(x, self.columns) for x in (states, actions)), *kept[all_slopes:]]
+        return Rollout(states, actions, tuple(kept[:first]), _stack(*least), tuple(kept[first:all_slopes]))
 
     def clearance(self, moves: ca.MX, nearest: ca.MX) -> ca.MX:
         """That of the network, whose inputs are s and u."""
         return clearance(self.dynamics.mlp, moves, nearest)
 
-    def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
+    def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> Tangent:
         """Changes of the states; s_0 does not change."""
         zero = ca.MX.zeros(self.dynamics.n_z, self.columns)
         dtheta = self._sum(ca.MX.zeros(self.dynamics.n_joints, self.columns), dU)
-        after = scan(self._tangent, zero, [*at.memory, *self._drive_inputs(dtheta, dU)], self.horizon)
-        return _stack(ca.horzcat(zero, *after), dtheta, ca.MX.zeros(dtheta.shape))
+        after, *memory = scan(self._tangent, zero, [*at.memory, *self._drive_inputs(dtheta, dU)], self.horizon)
+        return Tangent(_stack(ca.horzcat(zero, after), dtheta, ca.MX.zeros(dtheta.shape)), tuple(memory))
 
     def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
         """Costates for the slopes Q."""
-        return self._backwards(self._adjoint, psi, Q, *at.memory)
+        return self._backwards(self._adjoint, psi, Q, *at.memory, *at.curvatures)
 
-    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
-        """Changes of the costates along (dS, dU); those of `adjoint` where the network has no curvature."""
-        if not self._curved:
-            return self._backwards(self._adjoint, psi, Q, *at.memory)
-        dz, dtheta, _ = self._parts(dS)
-        inputs = *at.memory, *memory, dz[:, : dU.size2()], *self._drive_inputs(dtheta, dU)
-        return self._backwards(self._adjoint_tangent, psi, Q, *inputs)
+    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: Tangent, dU: ca.MX, Q: ca.MX) -> Adjoint:
+        """Changes of the costates along (dS, dU)."""
+        return self._backwards(self._adjoint_tangent, psi, Q, *at.memory, *memory, *dS.memory)
 
     def _backwards(self, stage: ca.Function, psi: ca.MX, Q: ca.MX, *inputs: ca.MX) -> Adjoint:
-        """Accumulate a stage (lambda_z, q_z, ...) -> lambda_z, the adjoint of a_1; then sum up for the joints."""
+        """Accumulate a stage (lambda_z, q_z, ...) -> lambda_z, adjoint of a_1, memory; then sum up for the joints."""
         B, n_q = self.columns, self.dynamics.n_joints
         by_z, by_theta, by_velocity = self._parts(Q)
-        before, *shares = scan(stage, by_z[:, -B:], [by_z[:, :-B], *inputs], self.horizon, backwards=True)
+        before, *found = scan(stage, by_z[:, -B:], [by_z[:, :-B], *inputs], self.horizon, backwards=True)
         costates = ca.horzcat(before[:, B:], by_z[:, -B:])
-        share, inner = shares if self._wide else self._shares(*shares)
+        share, inner = found[:2] if self._wide else self._shares(found[0])
         theta = self._sum_back(by_theta, share[:n_q, :])
         velocity = self._sum_back(by_velocity, ca.DM(self._by_velocity.T) @ inner)
         return Adjoint(
             costates=_stack(costates, theta, velocity),
             by_actions=theta + share[n_q:, :],
             by_parameters=ca.MX.zeros(psi.shape),
-            memory=(costates,) if self._curved else (),
+            memory=tuple(found[2 if self._wide else 1 :]),
         )
 
     def _drive_inputs(self, theta: ca.MX, actions: ca.MX, constant: ca.MX | None = None) -> list[ca.MX]:
@@ -175,37 +173,45 @@ class NetworkPasses:
 
     @cached_property
     def _tangent(self) -> ca.Function:
-        """dz, slopes, inputs for de_t -> dz_next."""
-        dz, slopes, (inputs, drive) = self._symbol("dz"), self._slopes, self._drive_symbols()
-        dy, _ = jvp(self._mlp, unflatten_slopes(self._mlp, slopes), dz, drive)
-        return ca.Function("tangent", [dz, *slopes, *inputs], [self._residual(dz) + dy])
+        """dz, slopes, inputs for de_t -> dz_next, da_l."""
+        dz, (inputs, drive) = self._symbol("dz"), self._drive_symbols()
+        dy, tangents = jvp(self._mlp, unflatten_slopes(self._mlp, self._first), dz, drive)
+        kept = tangents if self._curved else []
+        return ca.Function("tangent", [dz, *self._first, *inputs], [self._residual(dz) + dy, *kept])
 
     @cached_property
     def _adjoint(self) -> ca.Function:
-        """lambda_z, q_z, slopes -> lambda_z before, adjoint of a_1."""
+        """lambda_z, q_z, slopes -> lambda_z before, adjoint of a_1, sigma'' times the adjoints of h_l."""
         lam, q, slopes = self._symbol("lam"), self._symbol("q"), self._slopes
-        by_z, inner = vjp(self._mlp, unflatten_slopes(self._mlp, slopes), lam)
-        return self._backward("adjoint", [lam, q, *slopes], q + self._residual(lam) + by_z, inner)
+        by_z, inner, bent = vjp(self._mlp, unflatten_slopes(self._mlp, slopes), lam)
+        kept = flatten_slopes(bent)[len(self._first) :]
+        return self._backward("adjoint", [lam, q, *slopes], q + self._residual(lam) + by_z, inner, kept)
 
     @cached_property
     def _adjoint_tangent(self) -> ca.Function:
-        """mu_z, q_z, slopes, lambda_z, dz, inputs for de_t -> mu_z before, tangent of the adjoint of a_1."""
-        mu, q, lam, dz = (self._symbol(name) for name in ("mu", "q", "lam", "dz"))
-        slopes, (inputs, drive) = self._slopes, self._drive_symbols()
-        by_z, inner = vjp_tangent(self._mlp, unflatten_slopes(self._mlp, slopes), lam, dz, mu, drive)
-        arguments = [mu, q, *slopes, lam, dz, *inputs]
-        return self._backward("adjoint_tangent", arguments, q + self._residual(mu) + by_z, inner)
+        """mu_z, q_z, slopes, sigma'' times the adjoints of h_l, da_l -> mu_z before, tangent of the adjoint of a_1."""
+        mu, q, bent = self._symbol("mu"), self._symbol("q"), self._slopes
+        tangents = [self._symbol("da", len(bias)) for bias in self._mlp.biases]
+        by_z, inner = vjp_tangent(self._mlp, unflatten_slopes(self._mlp, bent), tangents, mu)
+        arguments = [mu, q, *bent, *(tangents if self._curved else [])]
+        return self._backward("adjoint_tangent", arguments, q + self._residual(mu) + by_z, inner, [])
 
-    def _backward(self, name: str, inputs: list[ca.MX], before: ca.MX, inner: ca.MX) -> ca.Function:
-        return ca.Function(name, inputs, [before, *(self._shares(inner) if self._wide else [inner])])
+    def _backward(self, name: str, inputs: list[ca.MX], before: ca.MX, inner: ca.MX, kept: list[ca.MX]) -> ca.Function:
+        return ca.Function(name, inputs, [before, *(self._shares(inner) if self._wide else [inner]), *kept])
 
     def _symbol(self, name: str, rows: int | None = None) -> ca.MX:
         return ca.MX.sym(name, self.dynamics.n_z if rows is None else rows, self.columns)
 
     @cached_property
     def _slopes(self) -> list[ca.MX]:
-        """Symbols for the memory of the rollout."""
+        """Symbols for the slopes, first derivatives first."""
         return symbols_like("slope", flatten_slopes(self._mlp.linearise(self._symbol("z"))[1]))
+
+    @property
+    def _first(self) -> list[ca.MX]:
+        """Symbols for the memory of the rollout: first derivatives."""
+        count = sum(slope.first is not None for slope in self._mlp.linearise(self._symbol("z"))[1])
+        return self._slopes[:count]
 
     @cached_property
     def _nearest(self) -> list[ca.MX]:

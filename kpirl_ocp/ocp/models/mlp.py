@@ -164,33 +164,35 @@ def jvp(mlp: MLP, slopes: Sequence[Slopes], dx: ca.MX, drive: ca.MX | None = Non
     return dx, tangents
 
 
-def vjp(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """J^T adjoint (n_in, B) for adjoint (n_out, B), and the adjoint (n_1, B) of a_1 on the way."""
-    inner = adjoint
+def vjp(mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX) -> tuple[ca.MX, ca.MX, list[Slopes]]:
+    """J^T adjoint (n_in, B) for adjoint (n_out, B), and the adjoint (n_1, B) of a_1 on the way.
+
+    The third is what `vjp_tangent` takes: the slopes, sigma'' times the adjoint of h_l in the place of sigma''.
+    """
+    inner, bent = adjoint, []
     for weight, slope in zip(reversed(mlp.weights), reversed(slopes), strict=True):
+        bent.append(Slopes(slope.first, None if slope.second is None else slope.second * adjoint))
         inner = times(slope.first, adjoint)
         adjoint = ca.DM(weight.T) @ inner
-    return adjoint, inner
+    return adjoint, inner, bent[::-1]
 
 
-def vjp_tangent(
-    mlp: MLP, slopes: Sequence[Slopes], adjoint: ca.MX, dx: ca.MX, dadjoint: ca.MX, drive: ca.MX | None = None
-) -> tuple[ca.MX, ca.MX]:
-    """The changes of both results of `vjp` along dx, as in `jvp`, and dadjoint.
+def vjp_tangent(mlp: MLP, bent: Sequence[Slopes], tangents: Sequence[ca.MX], dadjoint: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """The changes of the first two results of `vjp` along dx and dadjoint.
 
-    The first is J^T dadjoint + (adjoint . f)'' dx. Adjoint and tangent share each product with W^T, as two blocks of
-    columns. Without curvature, only J^T dadjoint is left.
+    The first is J^T dadjoint + (adjoint . f)'' dx. Without curvature, J^T dadjoint is left.
+
+    Args:
+        bent: from `vjp`.
+        tangents: da_l from `jvp` along dx.
+        dadjoint: (n_out, B).
     """
-    if not has_curvature(slopes):
-        return vjp(mlp, slopes, dadjoint)
-    _, tangents = jvp(mlp, slopes, dx, drive)
-    inner, columns = dadjoint, adjoint.size2()
-    for weight, slope, tangent in zip(reversed(mlp.weights), reversed(slopes), reversed(tangents), strict=True):
+    inner = dadjoint
+    for weight, slope, tangent in zip(reversed(mlp.weights), reversed(bent), reversed(tangents), strict=True):
         inner = times(slope.first, dadjoint)
         if slope.second is not None:
-            inner = inner + slope.second * tangent * adjoint
-        both = ca.DM(weight.T) @ ca.horzcat(times(slope.first, adjoint), inner)
-        adjoint, dadjoint = both[:, :columns], both[:, columns:]
+            inner = inner + slope.second * tangent
+        dadjoint = ca.DM(weight.T) @ inner
     return dadjoint, inner
 
 
@@ -244,18 +246,17 @@ def has_curvature(slopes: Sequence[Slopes]) -> bool:
 
 
 def flatten_slopes(slopes: Sequence[Slopes]) -> list[ca.MX]:
-    """The slopes as a plain list, to be kept for later; `unflatten_slopes` is its inverse."""
-    return [part for slope in slopes for part in (slope.first, slope.second) if part is not None]
+    """The slopes as a plain list, to be kept for later, first derivatives first; `unflatten_slopes` is its inverse."""
+    parts = [*(slope.first for slope in slopes), *(slope.second for slope in slopes)]
+    return [part for part in parts if part is not None]
 
 
 def unflatten_slopes(mlp: MLP, kept: Sequence[ca.MX]) -> list[Slopes]:
-    """The slopes that `flatten_slopes` listed."""
-    parts, slopes = iter(kept), []
-    for name in mlp.activations:
-        _, pattern = ACTIVATIONS[name](ca.MX.sym("a"))
-        first, second = (None if part is None else next(parts) for part in (pattern.first, pattern.second))
-        slopes.append(Slopes(first, second))
-    return slopes
+    """The slopes that `flatten_slopes` listed, without second derivatives where only the first are given."""
+    parts, patterns = iter(kept), [ACTIVATIONS[name](ca.MX.sym("a"))[1] for name in mlp.activations]
+    first = [None if pattern.first is None else next(parts) for pattern in patterns]
+    second = [None if pattern.second is None else next(parts, None) for pattern in patterns]
+    return list(map(Slopes, first, second))
 
 
 def times(factor: ca.MX | None, x: ca.MX) -> ca.MX:

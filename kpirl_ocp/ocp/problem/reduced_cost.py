@@ -62,7 +62,7 @@ class ReducedCost:
     def hessian_product(self, rollout: Rollout, memory: Memory, psi: ca.MX, theta: Coefficients, dU: ca.MX) -> Product:
         """The product for a direction dU (n_u, T B), at a rollout and with the memory of its adjoint."""
         dS = self.passes.tangent(rollout, psi, dU)
-        by_states, by_actions, by_theta = self.cost.second(rollout.states, rollout.actions, theta, dS, dU)
+        by_states, by_actions, by_theta = self.cost.second(rollout.states, rollout.actions, theta, dS.states, dU)
         adjoint = self.passes.adjoint_tangent(rollout, psi, memory, dS, dU, by_states)
         return Product(by_actions + adjoint.by_actions, by_theta, adjoint.by_parameters)
 

@@ -29,12 +29,21 @@ class Rollout(NamedTuple):
 
     extremes: (n, B) minus the largest absolute values of each state and action, then the smallest of each number at
         whose zero the dynamics have a kink; None where `clearance` is not known.
+    curvatures: arrays that only the adjoint needs.
     """
 
     states: ca.MX
     actions: ca.MX
     memory: Memory
     extremes: ca.MX | None = None
+    curvatures: Memory = ()
+
+
+class Tangent(NamedTuple):
+    """Changes dS (n_s, (T+1) B) of the states, and the arrays that the adjoint's tangent needs of them."""
+
+    states: ca.MX
+    memory: Memory
 
 
 class Adjoint(NamedTuple):
@@ -56,15 +65,15 @@ class TrajectoryPasses(Protocol):
         """The rollout from s0 (n_s, B) with actions (n_u, T B)."""
         ...
 
-    def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
-        """dS (n_s, (T+1) B) for dU (n_u, T B)."""
+    def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> Tangent:
+        """dS for dU (n_u, T B)."""
         ...
 
     def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
         """The adjoint for q_0 .. q_T, given as Q (n_s, (T+1) B)."""
         ...
 
-    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
+    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: Tangent, dU: ca.MX, Q: ca.MX) -> Adjoint:
         """The change of `adjoint` along (dS, dU), when its q changes by Q; `memory` is that of `adjoint`."""
         ...
 
@@ -90,18 +99,18 @@ class StagePasses:
         (states,) = self._scan(self.dynamics, s0, actions, psi)
         return Rollout(ca.horzcat(s0, states), actions, ())
 
-    def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> ca.MX:
+    def tangent(self, at: Rollout, psi: ca.MX, dU: ca.MX) -> Tangent:
         """Changes of the states; s_0 does not change."""
         zero = ca.MX.zeros(self.dynamics.size1_in(0), self.columns)
-        return ca.horzcat(zero, *self._scan(self._tangent, zero, *_stages(at), psi, dU))
+        return Tangent(ca.horzcat(zero, *self._scan(self._tangent, zero, *_stages(at), psi, dU)), ())
 
     def adjoint(self, at: Rollout, psi: ca.MX, Q: ca.MX) -> Adjoint:
         """Costates for the slopes Q."""
         return self._backwards(self._adjoint, Q, *_stages(at), psi)
 
-    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: ca.MX, dU: ca.MX, Q: ca.MX) -> Adjoint:
+    def adjoint_tangent(self, at: Rollout, psi: ca.MX, memory: Memory, dS: Tangent, dU: ca.MX, Q: ca.MX) -> Adjoint:
         """Changes of the costates along (dS, dU)."""
-        direction = dS[:, : dU.size2()], dU
+        direction = dS.states[:, : dU.size2()], dU
         return self._backwards(self._adjoint_tangent, Q, *_stages(at), psi, *memory, *direction)
 
     def clearance(self, moves: ca.MX, nearest: ca.MX) -> ca.MX:
