@@ -10,7 +10,7 @@ import pytest
 from exported import COMPILERS, STRICT, folder
 from problems import TABLE
 
-from kpirl_ocp import Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory, Unrolled
+from kpirl_ocp import OCP, Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory, Unrolled
 from kpirl_ocp.errors import FileError, ProblemError
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.ocp.export.records import STATUS
@@ -230,3 +230,50 @@ def test_a_manifest_with_entries_of_another_kind_is_refused_by_name(tmp_path):
     path.write_text(json.dumps(whole | {"prefix": "other"}))
     with pytest.raises(FileError, match="has no other_size in its sources"):
         ExportedSolver(tmp_path, STRICT)
+
+
+@pytest.fixture(scope="module")
+def small_rows(tmp_path_factory):
+    """A problem whose equality is in small units, one action without bounds and one with, and its controller."""
+    s, u, p = ca.SX.sym("s"), ca.SX.sym("u", 2), ca.SX.sym("p")
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        parameters=p,
+        horizon=3,
+        dynamics=s + u[0] + u[1],
+        stage_cost=(s - p) ** 2 + u[0] ** 2 + 2 * u[1] ** 2,
+        path_equality=1e-3 * (u[0] - p * u[1]),
+        action_bounds=([-np.inf, -9], [np.inf, 9]),
+    )
+    return problem, ExportedSolver(export_c(problem, Riccati(), tmp_path_factory.mktemp("small"), psi=[0.7]))
+
+
+def test_gradients_do_not_depend_on_the_unit_of_an_equality(small_rows):
+    """Its multiplier is found in proximal steps, the first of which leaves 1e-9 over the square of the unit."""
+    problem, ours = small_rows
+    plan = Riccati().solve(problem, [0.5], [0.7])
+    slopes = np.ones((4, 1)), np.arange(6.0).reshape(3, 2)
+    found, believed = ours.gradient(problem, [0.5], [0.7], (), plan, *slopes)
+    expected = sensitivity(problem, plan).pull(*slopes)
+    assert believed
+    np.testing.assert_allclose(found.psi, expected.psi, rtol=1e-5)
+    np.testing.assert_allclose(found.s0, expected.s0, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "bounds",
+    [
+        ([-np.inf, 2], [np.inf, 2]),
+        ([-9, -9], [np.inf, 9]),
+        ([-np.inf, -np.inf], [np.inf, 9]),
+        ([-np.inf, -9], [np.inf, np.inf]),
+    ],
+    ids=str,
+)
+def test_bounds_that_are_finite_or_coincide_elsewhere_than_when_exported_are_refused(small_rows, bounds):
+    problem, ours = small_rows
+    moved = replace(problem, action_bounds=([-np.inf, -3], [np.inf, 2]))
+    assert ours.solve(moved, [0.5], [0.7]).status is Status.CONVERGED
+    with pytest.raises(ProblemError, match="bound"):
+        ours.solve(replace(problem, action_bounds=bounds), [0.5], [0.7])
