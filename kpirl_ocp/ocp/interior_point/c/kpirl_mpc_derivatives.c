@@ -20,17 +20,6 @@ static real scale_of(const kpirl_mpc_core *core) {
   return kpirl_mpc_norm_inf(sizes, 5);
 }
 
-static real violation_of(const kpirl_mpc_core *core) {
-  const kpirl_mpc_derivatives *d = &core->d;
-  const int n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
-  real sum = kpirl_mpc_norm_1(d->defects, DIM(core, horizon) * n_s) + kpirl_mpc_norm_1(d->gap, n_s) +
-             (core->penalty > 0 ? 0 : kpirl_mpc_norm_1(d->c, kpirl_mpc_n_equalities(core)));
-  int i;
-  for (i = 0; i < m; ++i)
-    if (!kpirl_mpc_is_elastic(core, i)) sum += kpirl_mpc_abs(kpirl_mpc_slack_residual(core, d->g[i], core->at.y[i]));
-  return sum;
-}
-
 /* The gradient by s_0 is no condition where s_0 is given. */
 static void forget_start(kpirl_mpc_core *core) {
   const int n_s = DIM(core, n_states);
@@ -67,7 +56,7 @@ void kpirl_mpc_differentiate(kpirl_mpc_core *core, int level) {
   kpirl_mpc_inequalities(core, at->x, d->path, d->g);
   kpirl_mpc_equalities(core, at->x, d->equality, d->c);
   d->scale = scale_of(core);
-  d->violation = violation_of(core);
+  d->violation = kpirl_mpc_violation(core);
 }
 
 /* The largest violation of a constraint; `elastic`: of one that is elastic, too. NaN where there is one. */

@@ -97,6 +97,7 @@ static void lay_out(cursor *at, kpirl_mpc_core *core) {
   core->force = take_reals(at, m);
   core->target = take_reals(at, m);
   core->stiffness = take_reals(at, kpirl_mpc_n_equalities(core));
+  core->sizes = take_reals(at, n_x);
   core->row_sizes = take_reals(at, m + kpirl_mpc_n_equalities(core));
   core->right = take_reals(at, kpirl_mpc_n_point(core));
   core->start = take_reals(at, n_s);
@@ -169,13 +170,16 @@ size_t kpirl_mpc_core_size(const kpirl_mpc_dimensions *dimensions, const kpirl_m
 
 kpirl_mpc_core *kpirl_mpc_core_init(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_bounds *bounds,
                                     const kpirl_mpc_model *model, void *memory) {
+  const int n_x = dimensions->n_states + dimensions->n_actions;
   cursor at = {(char *)memory, (ALIGNMENT - (size_t)memory % ALIGNMENT) % ALIGNMENT, 0, 0, 0};
   kpirl_mpc_core *core = (kpirl_mpc_core *)take(&at, sizeof *core);
   const size_t size = kpirl_mpc_core_size(dimensions, bounds, model);
+  int i;
   memset(memory, 0, size);
   describe(core, dimensions, bounds, model);
   lay_out(&at, core);
   sort(core);
+  for (i = 0; i < n_x; ++i) core->sizes[i] = 1;
   return core;
 }
 

@@ -8,13 +8,15 @@
 static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
 static const real VIOLATION = (real)1e-5, OBJECTIVE = (real)1e-8, ARMIJO = (real)1e-4; /* sufficient decreases */
 
+/* The violation is in units of where it starts. */
 void kpirl_mpc_start_filter(kpirl_mpc_core *core) {
   kpirl_mpc_filter *filter = &core->filter;
-  const real theta = core->d.violation;
-  const int n_w = kpirl_mpc_n_point(core);
+  real theta;
+  kpirl_mpc_measure(core, core->d.F);
+  core->d.violation = theta = kpirl_mpc_violation(core);
   filter->largest = (real)1e2 * kpirl_mpc_max(1, theta);
   filter->small = (real)1e-4 * kpirl_mpc_max(1, theta);
-  filter->feasible = ROUNDING * ((real)n_w + kpirl_mpc_norm_1(core->at.x, n_w));
+  filter->feasible = kpirl_mpc_violation_rounding(core);
   filter->count = 0;
 }
 

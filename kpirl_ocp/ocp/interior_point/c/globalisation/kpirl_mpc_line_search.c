@@ -128,9 +128,8 @@ static int leave_saddle(kpirl_mpc_core *core, real least) {
 /* The smallest tau for now: a share of its start, in proportion to what is left of violation and gradient of the Lagrangian. Else
  * a first step that seems to solve everything would leave tau far behind the conditions where constraints are curved. */
 static real kept_tau(kpirl_mpc_core *core, real least) {
-  const int n_w = kpirl_mpc_n_point(core), m = kpirl_mpc_n_inequalities(core);
-  const real rounding = ROUNDING * (kpirl_mpc_norm_1(core->d.g, m) + kpirl_mpc_norm_1(core->at.x, n_w));
-  const real violation = kpirl_mpc_max(core->d.violation - rounding, 0);
+  const int n_w = kpirl_mpc_n_point(core);
+  const real violation = kpirl_mpc_max(core->d.violation - kpirl_mpc_violation_rounding(core), 0);
   const real gradient = kpirl_mpc_norm_inf(core->d.gradient, n_w);
   const real cost_gradient = kpirl_mpc_norm_inf(core->d.cost_gradient, n_w);
   real left;

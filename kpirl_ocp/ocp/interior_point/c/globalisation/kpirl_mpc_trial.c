@@ -37,16 +37,16 @@ static real trial_slack(const kpirl_mpc_core *core, int row, real length, real g
 /* Lifted: x + length dx, as in multiple shooting, with the defects that the dynamics leave there. Else along the dynamics. Returns
  * the violation of the dynamics. */
 static real move(kpirl_mpc_core *core, real length, int lifted, real *objective, real *path, real *equality) {
-  const int n_defects = DIM(core, horizon) * DIM(core, n_states), n_w = kpirl_mpc_n_point(core);
+  const int T = DIM(core, horizon), n_w = kpirl_mpc_n_point(core);
   kpirl_mpc_iterate *trial = &core->trial;
   int i;
   if (!lifted) {
     kpirl_mpc_feedback_rollout(core, length, objective, path, equality);
-    return (1 - length) * kpirl_mpc_norm_1(core->d.defects, n_defects);
+    return (1 - length) * kpirl_mpc_norm_in_sizes(core, core->d.defects, T);
   }
   for (i = 0; i < n_w; ++i) trial->x[i] = core->at.x[i] + length * core->step.change.x[i];
   kpirl_mpc_evaluate_values(core, trial->x, objective, trial->costates, path, equality);
-  return kpirl_mpc_norm_1(trial->costates, n_defects);
+  return kpirl_mpc_norm_in_sizes(core, trial->costates, T);
 }
 
 /* Slacks where g are the values of inequalities; violation += their residuals. Returns whether one has come too close to zero. */
@@ -75,7 +75,7 @@ void kpirl_mpc_trial_point(kpirl_mpc_core *core, real length, int lifted, kpirl_
   real objective, theta = move(core, length, lifted, &objective, path, equality), penalty;
   int i, outside;
   kpirl_mpc_gap(core, trial->x, core->start);
-  theta += kpirl_mpc_norm_1(core->start, n_s);
+  theta += kpirl_mpc_norm_in_sizes(core, core->start, 1);
   kpirl_mpc_equalities(core, trial->x, equality, trial->nu);
   if (core->penalty <= 0) theta += kpirl_mpc_norm_1(trial->nu, n_c);
   kpirl_mpc_inequalities(core, trial->x, path, g);

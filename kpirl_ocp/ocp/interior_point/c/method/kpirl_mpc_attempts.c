@@ -64,7 +64,7 @@ static int given_up(const kpirl_mpc_core *core, kpirl_mpc_status status) {
 
 int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core) {
   return core->lifted && !core->options.steps && core->penalty <= 0 &&
-         kpirl_mpc_norm_1(core->d.defects, DIM(core, horizon) * DIM(core, n_states)) > core->filter.small;
+         kpirl_mpc_norm_in_sizes(core, core->d.defects, DIM(core, horizon)) > core->filter.small;
 }
 
 /* With feasibility restoration where the method gets stuck. A point off the dynamics would show nothing of others. */
@@ -117,7 +117,6 @@ static kpirl_mpc_status take_one(kpirl_mpc_core *core) {
  * enough at the guess, with costates that are stationary there? Then what the step left out decides, and it is taken back: begin there.
  * Else the method goes on from where it is. Returns whether it was taken back. */
 static int take_back(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
-  const kpirl_mpc_filter filter = core->filter;
   const real tau = core->tau, violation = core->most_violation, gradient = core->most_gradient;
   const kpirl_mpc_iterate reached = core->at;
   real enough;
@@ -132,11 +131,11 @@ static int take_back(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
   if (isinf(enough) || kpirl_mpc_factorise(core, enough)) return 1;
   core->first.change = core->at;
   core->at = reached;
-  core->filter = filter;
   core->tau = tau;
   core->most_violation = violation;
   core->most_gradient = gradient;
   kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
+  kpirl_mpc_start_filter(core);
   return 0;
 }
 

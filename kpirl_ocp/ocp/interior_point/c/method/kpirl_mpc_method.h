@@ -37,6 +37,12 @@ void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least);
 /* Are steps lifted, and off the dynamics so far? Steps along the dynamics are the other way then. */
 int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core);
 
+/* violation: sizes of states and actions at core->at, without F before it is known; |states| in these sizes, summed over stages */
+void kpirl_mpc_measure(kpirl_mpc_core *core, const real *F);
+real kpirl_mpc_norm_in_sizes(const kpirl_mpc_core *core, const real *states, int stages);
+real kpirl_mpc_violation(const kpirl_mpc_core *core);
+real kpirl_mpc_violation_rounding(const kpirl_mpc_core *core);
+
 /* trial */
 /* What remains of g + y where a constraint has no interior, because no decision moves it (a bound on which a system at rest begins)
  * or it leaves one point: a slack of the tolerance at g = 0. If it vanished, its multiplier would grow without bound. */

@@ -12,14 +12,16 @@ static const int DOUBLED = 9;          /* how often multipliers of bounds of a c
 static const real USELESS = (real)0.01; /* length of a first step with light multipliers */
 static const real PUSH = (real)0.4; /* how far a cold start is moved inside its bounds, relative to size and distance */
 
-/* x inside its bounds (Waechter and Biegler, 2006, section 3.6), and onto them where they coincide. */
-static void move_inside(const kpirl_mpc_core *core, real *x) {
+/* x inside its bounds (Waechter and Biegler, 2006, section 3.6), by less where all of a state or action is small; and onto them
+ * where they coincide. */
+static void move_inside(kpirl_mpc_core *core, real *x) {
+  const int n_x = DIM(core, n_states) + DIM(core, n_actions);
   const real *lower = core->bounds.lower, *upper = core->bounds.upper;
   int side, i;
   for (side = 0; side < 2; ++side)
     for (i = 0; i < (side ? core->n_upper : core->n_lower); ++i) {
       const int entry = side ? core->upper[i] : core->lower[i];
-      const real size = kpirl_mpc_max(1, kpirl_mpc_abs(side ? upper[entry] : lower[entry]));
+      const real size = kpirl_mpc_min(core->sizes[entry % n_x], kpirl_mpc_max(1, kpirl_mpc_abs(side ? upper[entry] : lower[entry])));
       const real margin = PUSH * kpirl_mpc_min(size, upper[entry] - lower[entry]);
       x[entry] = side ? kpirl_mpc_min(x[entry], upper[entry] - margin) : kpirl_mpc_max(x[entry], lower[entry] + margin);
     }
@@ -55,6 +57,7 @@ void kpirl_mpc_cold_start(kpirl_mpc_core *core, const real *x) {
     memcpy(at->x, core->numbers.s0, (size_t)n_s * sizeof(real));
     kpirl_mpc_roll_out(core, at->x);
   }
+  kpirl_mpc_measure(core, NULL);
   move_inside(core, at->x);
   memset(at->costates, 0, (size_t)(DIM(core, horizon) * n_s) * sizeof(real));
   memset(at->nu, 0, (size_t)kpirl_mpc_n_equalities(core) * sizeof(real));

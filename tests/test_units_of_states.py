@@ -1,0 +1,63 @@
+"""A problem is solved in whatever units its states, actions, costs and constraints are stated."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from reference import REFERENCES
+from reference.checks import coarse, solve
+from units import in_units
+
+from kpirl_ocp import OCP, Riccati
+from kpirl_ocp.types import Trajectory
+
+PROBLEMS = {reference.name: reference for reference in REFERENCES}
+DRAWN = [
+    ("double integrator, minimum time", 7),
+    ("Goddard rocket", 1),
+    ("glider", 6),
+    ("rocket landing in a cone", 1),
+    ("rocket landing in a cone", 4),
+]
+
+
+def drawn_units(problem, seed):
+    """Between 1e-3 and 1e3 for the cost, the constraints, and every state and action on its own."""
+    rng = np.random.default_rng(seed)
+    cost, rows = (float(10 ** rng.uniform(-3, 3)) for _ in range(2))
+    state, action = (10 ** rng.uniform(-3, 3, count) for count in (problem.n_states, problem.n_actions))
+    return {"cost": cost, "rows": rows, "state": state, "action": action}
+
+
+@pytest.mark.parametrize(("name", "seed"), DRAWN)
+def test_a_classic_problem_is_solved_in_units_that_are_drawn(name, seed):
+    case = coarse(PROBLEMS[name])
+    problem, units = case.problem, drawn_units(case.problem, seed)
+    guess = Trajectory(
+        problem.as_states(case.guess.states) / units["state"], problem.as_actions(case.guess.actions) / units["action"]
+    )
+    s0 = problem.inputs(case.s0, case.psi, ())[0] / units["state"]
+    found = Riccati().solve(in_units(problem, **units), s0, case.psi, guess=guess).raise_if_failed()
+    expected = solve(case, Riccati()).raise_if_failed()
+    np.testing.assert_allclose(found.objective / units["cost"], expected.objective, rtol=1e-6)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e-3, 1.0, 1e3])
+def test_states_that_are_zero_by_cancellation_do_not_count_in_units_of_their_rounding(unit):
+    """Two pendulums swing up side by side; their distance is zero, but for rounding, and so is its integral."""
+    s, u, step = ca.SX.sym("s", 6), ca.SX.sym("u", 2), 0.05
+    angles, rates = ca.vertcat(s[0], s[2]), ca.vertcat(s[1], s[3])
+    rates = rates + step * (u - 9.81 * ca.sin(angles) - 0.1 * rates)
+    angles = angles + step * rates
+    apart = ca.vertcat(rates[0] - rates[1], ca.sin(s[0]) - ca.sin(s[2]) + ca.sin(s[4]) * rates[0])
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        horizon=60,
+        dynamics=ca.vertcat(angles[0], rates[0], angles[1], rates[1], s[4:] + unit * step * apart),
+        stage_cost=0.01 * (ca.sumsqr(u) + ca.sumsqr(s)),
+        terminal_cost=50 * (ca.sumsqr(s[:4] - ca.DM([np.pi, 0, np.pi, 0]))) + ca.sumsqr(s[4:]),
+        action_bounds=(-5, 5),
+    )
+    plan = Riccati().solve(problem, [0.3, 0.1, 0.3, 0.1, 0, 0]).raise_if_failed()
+    assert plan.status.name == "CONVERGED"
+    assert np.abs(plan.states[:, 4:]).max() <= 1e-13 * max(unit, 1)
