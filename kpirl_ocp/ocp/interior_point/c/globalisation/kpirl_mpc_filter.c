@@ -40,15 +40,19 @@ static void add(kpirl_mpc_filter *filter, real theta, real phi) {
   filter->count = kept + 1;
 }
 
-int kpirl_mpc_filter_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, kpirl_mpc_merit trial) {
+/* Where the violation is rounding, the objective decides, and may rise by what the violation that is gone costs at `price`. */
+int kpirl_mpc_filter_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, real price, kpirl_mpc_merit trial) {
   const real tolerated = ROUNDING * kpirl_mpc_abs(before.phi);
   int i;
   if (!isfinite(trial.theta) || !isfinite(trial.phi) || trial.theta > filter->largest) return 0;
   for (i = 0; i < filter->count; ++i)
     if (trial.theta - filter->feasible >= filter->theta[i] && trial.phi - tolerated > filter->phi[i]) return 0;
-  if (before.theta <= filter->feasible || (slope < 0 && before.theta <= filter->small &&
-      length * kpirl_mpc_pow(-slope, (real)2.3) > kpirl_mpc_pow(before.theta, (real)1.1)))
-    return trial.phi <= before.phi + ARMIJO * length * kpirl_mpc_min(slope, 0) + tolerated;
+  if (before.theta <= filter->feasible)
+    return trial.phi <= before.phi + price * kpirl_mpc_max(before.theta - trial.theta, 0) +
+                        ARMIJO * length * kpirl_mpc_min(slope, 0) + tolerated;
+  if (slope < 0 && before.theta <= filter->small &&
+      length * kpirl_mpc_pow(-slope, (real)2.3) > kpirl_mpc_pow(before.theta, (real)1.1))
+    return trial.phi <= before.phi + ARMIJO * length * slope + tolerated;
   if (!(trial.theta <= (1 - VIOLATION) * before.theta || trial.phi <= before.phi - OBJECTIVE * before.theta + tolerated))
     return 0;
   add(filter, (1 - VIOLATION) * before.theta, before.phi - OBJECTIVE * before.theta);

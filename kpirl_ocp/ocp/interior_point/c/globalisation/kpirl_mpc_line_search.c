@@ -67,7 +67,13 @@ static int corrected_fits(kpirl_mpc_core *core, kpirl_mpc_merit before, real slo
   kpirl_mpc_trial_point(core, length, 0, &trial);
   price = kpirl_mpc_norm_inf(core->trial.costates, DIM(core, horizon) * DIM(core, n_states));
   return trial.phi + price * trial.theta <= before.phi + price * before.theta &&
-         kpirl_mpc_filter_accepts(&core->filter, before, slope, length, trial);
+         kpirl_mpc_filter_accepts(&core->filter, before, slope, length, price, trial);
+}
+
+/* The largest multiplier of a constraint that theta counts as equality. */
+static real heaviest(const kpirl_mpc_core *core) {
+  const real costate = kpirl_mpc_norm_inf(core->at.costates, DIM(core, horizon) * DIM(core, n_states));
+  return core->penalty > 0 ? costate : kpirl_mpc_max(costate, kpirl_mpc_norm_inf(core->at.nu, kpirl_mpc_n_equalities(core)));
 }
 
 /* Move by the longest length that the filter accepts, if there is one above a fraction `least` of the whole step; far from
@@ -82,6 +88,7 @@ static int move_along(kpirl_mpc_core *core, real least) {
   const real rounding = !tiny && core->d.violation > core->filter.small ? ROUNDING * size / largest : 0;
   const real shortest = kpirl_mpc_max(kpirl_mpc_max(SHORTEST, rounding), least * step->primal_length);
   real length = step->primal_length;
+  const real price = heaviest(core);
   kpirl_mpc_merit before, trial;
   before.theta = core->d.violation;
   before.phi = core->d.objective - step->tau * kpirl_mpc_hard_log_sum(core, core->at.y);
@@ -89,7 +96,7 @@ static int move_along(kpirl_mpc_core *core, real least) {
   while (length >= shortest) {
     ++core->trials;
     kpirl_mpc_trial_point(core, length, core->lifted, &trial);
-    if ((tiny && isfinite(trial.phi)) || kpirl_mpc_filter_accepts(&core->filter, before, slope, length, trial) ||
+    if ((tiny && isfinite(trial.phi)) || kpirl_mpc_filter_accepts(&core->filter, before, slope, length, price, trial) ||
         (isfinite(trial.phi) && trial.theta >= before.theta && kpirl_mpc_off_dynamics(core) &&
          corrected_fits(core, before, slope, length))) {
       core->step.primal_length = length;
@@ -129,7 +136,7 @@ static int leave_saddle(kpirl_mpc_core *core, real least) {
  * a first step that seems to solve everything would leave tau far behind the conditions where constraints are curved. */
 static real kept_tau(kpirl_mpc_core *core, real least) {
   const int n_w = kpirl_mpc_n_point(core);
-  const real violation = kpirl_mpc_max(core->d.violation - kpirl_mpc_violation_rounding(core), 0);
+  const real violation = kpirl_mpc_max(core->d.violation - kpirl_mpc_max(kpirl_mpc_violation_rounding(core), core->tolerance), 0);
   const real gradient = kpirl_mpc_norm_inf(core->d.gradient, n_w);
   const real cost_gradient = kpirl_mpc_norm_inf(core->d.cost_gradient, n_w);
   real left;

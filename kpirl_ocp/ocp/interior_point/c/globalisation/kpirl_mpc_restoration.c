@@ -49,9 +49,16 @@ static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real enough) {
   }
 }
 
+/* Multipliers of bounds begin at tau / y or more, as far as that is no more than the penalty: tau is another one now, and without
+ * a multiplier a small slack would make a step as long as tau / z. */
 static kpirl_mpc_restoration restore_with(kpirl_mpc_core *core, real penalty, real enough) {
+  const int bounds = kpirl_mpc_n_bounds(core);
+  const real tau = kpirl_mpc_max(core->start_tau, penalty * violation(core));
+  kpirl_mpc_iterate *at = &core->at;
+  int i;
+  for (i = 0; i < bounds; ++i) at->z[i] = kpirl_mpc_max(at->z[i], kpirl_mpc_min(tau / at->y[i], penalty));
   core->penalty = penalty;
-  begin_barrier_problem(core, kpirl_mpc_max(core->start_tau, penalty * violation(core)));
+  begin_barrier_problem(core, tau);
   return descend(core, enough);
 }
 

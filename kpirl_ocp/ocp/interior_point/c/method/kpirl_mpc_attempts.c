@@ -139,6 +139,17 @@ static int take_back(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
   return 0;
 }
 
+/* Would begin_with_costates begin elsewhere than begin_cold, after which this is asked? Not where the costates would be of no use. */
+static int has_costates(kpirl_mpc_core *core) {
+  real *costates = core->at.costates;
+  const int count = DIM(core, horizon) * DIM(core, n_states);
+  int has;
+  kpirl_mpc_estimate_costates(core);
+  has = kpirl_mpc_norm_inf(costates, count) > 0;
+  memset(costates, 0, (size_t)count * sizeof(real));
+  return has;
+}
+
 /* Lifted from the guess, without costates, unless the Hessian is not positive then (see kpirl_mpc_iterate_once), or what it lacks
  * decides; where that gets stuck, once more with them. */
 static kpirl_mpc_status lift(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
@@ -146,7 +157,8 @@ static kpirl_mpc_status lift(kpirl_mpc_core *core, const kpirl_mpc_start *guess)
   int bare;
   core->lifted = 1;
   begin_cold(core, guess);
-  bare = core->factored = core->factored || kpirl_mpc_factorise(core, 0);
+  core->factored = core->factored || kpirl_mpc_factorise(core, 0);
+  bare = core->factored && has_costates(core);
   status = take_one(core);
   if (status == KPIRL_MPC_ITERATION_LIMIT && core->iterations < core->options.max_iterations) {
     if (bare && take_back(core, guess)) bare = 0;

@@ -1,11 +1,12 @@
 /* SPDX-License-Identifier: MIT
  *
- * Steps of several orders with the factors of one: Mehrotra's predictor and corrector (1992), and the centrality correctors of
- * Gondzio (1996). A right-hand side costs far less than factors and derivatives.
+ * Steps of several orders with the factors of one: Mehrotra's predictor and corrector (1992), the centrality correctors of
+ * Gondzio (1996), and a repeated one (Carpenter, Lustig, Mulvey and Shanno, 1993). A right-hand side costs far less than factors
+ * and derivatives.
  */
 #include "kpirl_mpc_method.h"
 
-static const real CORRECTED = (real)0.5; /* length of the first step from which the second order is believed */
+static const real CORRECTED = (real)0.5; /* length of a step from which its second order is believed */
 /* Gondzio's: how many correctors; how much longer a step each aims at; the least that it has to gain; products y z between
  * NEAR tau and FAR tau count as central. */
 static const int CORRECTORS = 2;
@@ -26,13 +27,26 @@ static real product_after(const kpirl_mpc_core *core, const kpirl_mpc_iterate *c
   return (core->at.y[row] + length.primal * change->y[row]) * (core->at.z[row] + length.dual * change->z[row]);
 }
 
-/* mu = y . z / m after a step of these lengths. */
-static real complementarity_after(const kpirl_mpc_core *core, const kpirl_mpc_iterate *change, lengths length) {
+/* Of products y z after a step of these lengths: mu, their mean, and the smallest. */
+typedef struct { real mean, least; } products;
+
+static products products_after(const kpirl_mpc_core *core, const kpirl_mpc_iterate *change, lengths length) {
   const int m = kpirl_mpc_n_inequalities(core);
-  real sum = 0;
+  products after = {0, (real)INFINITY};
   int i;
-  for (i = 0; i < m; ++i) sum += product_after(core, change, length, i);
-  return sum / m;
+  for (i = 0; i < m; ++i) {
+    const real product = product_after(core, change, length, i);
+    after.mean += product / m;
+    after.least = kpirl_mpc_min(product, after.least);
+  }
+  return after;
+}
+
+/* y dz + z dy = tau - y z - the second order of a step */
+static void aim_at_second_order(kpirl_mpc_core *core, const kpirl_mpc_iterate *step) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  int i;
+  for (i = 0; i < m; ++i) core->target[i] = core->step.tau - step->y[i] * step->z[i];
 }
 
 /* A first step towards tau = least shows how small mu can become while y and z stay positive; then tau = mu (mu_first / mu)^3 or
@@ -45,14 +59,14 @@ static void predict(kpirl_mpc_core *core, real least) {
   const kpirl_mpc_iterate *first = &core->first.change;
   lengths length;
   real mu, share;
-  int i, believed;
+  int i;
   kpirl_mpc_step_to_target(core, &core->first.change);
   length = to_the_boundary(core, first);
-  mu = complementarity_after(core, first, none);
-  share = complementarity_after(core, first, length) / mu;
+  mu = products_after(core, first, none).mean;
+  share = products_after(core, first, length).mean / mu;
   core->step.tau = core->options.barrier > 0 ? least : kpirl_mpc_max(least, mu * share * share * share);
-  believed = kpirl_mpc_min(length.primal, length.dual) > CORRECTED;
-  for (i = 0; i < m; ++i) core->target[i] = core->step.tau - (believed ? first->y[i] * first->z[i] : 0);
+  for (i = 0; i < m; ++i) core->target[i] = core->step.tau;
+  if (kpirl_mpc_min(length.primal, length.dual) > CORRECTED) aim_at_second_order(core, first);
 }
 
 /* Aim at a step that is LONGER: products that it would leave off centre are to come back. */
@@ -91,6 +105,22 @@ static void correct_centrality(kpirl_mpc_core *core) {
   }
 }
 
+/* Where most of the step can be taken: once more, with its own second order in place of the first one's, if that makes mu smaller
+ * and leaves no product far behind tau, unless one was before. */
+static void correct_again(kpirl_mpc_core *core) {
+  const kpirl_mpc_iterate change = core->step.change;
+  const lengths length = to_the_boundary(core, &change);
+  const products before = products_after(core, &change, length);
+  products after;
+  if (kpirl_mpc_min(length.primal, length.dual) <= CORRECTED) return;
+  aim_at_second_order(core, &change);
+  kpirl_mpc_step_to_target(core, &core->first.change);
+  after = products_after(core, &core->first.change, to_the_boundary(core, &core->first.change));
+  if (!(after.mean < before.mean && after.least >= kpirl_mpc_min(NEAR * core->step.tau, before.least))) return;
+  core->step.change = core->first.change;
+  core->first.change = change;
+}
+
 void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least) {
   const int m = kpirl_mpc_n_inequalities(core);
   int i;
@@ -101,6 +131,9 @@ void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least) {
   for (i = 0; i < m; ++i) core->target[i] = least;
   if (m > 0) predict(core, least);
   kpirl_mpc_step_to_target(core, &core->step.change);
-  if (m > 0) correct_centrality(core);
+  if (m > 0) {
+    correct_centrality(core);
+    correct_again(core);
+  }
   kpirl_mpc_limit_lengths(core);
 }
