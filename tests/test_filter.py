@@ -27,10 +27,10 @@ class Merit(ctypes.Structure):
     _fields_ = [("theta", ctypes.c_double), ("phi", ctypes.c_double)]
 
 
-def accepts(known, before, trial, slope=-1.0, length=1.0):
+def accepts(known, before, trial, slope=-1.0, length=1.0, price=0.0):
     function = c.library().kpirl_mpc_filter_accepts
-    function.argtypes = [ctypes.c_void_p, Merit, ctypes.c_double, ctypes.c_double, Merit]
-    return bool(function(ctypes.addressof(known), Merit(*before), slope, length, Merit(*trial)))
+    function.argtypes = [ctypes.c_void_p, Merit, *[ctypes.c_double] * 3, Merit]
+    return bool(function(ctypes.addressof(known), Merit(*before), slope, length, price, Merit(*trial)))
 
 
 def filter_of(*pairs, feasible=1e-12, small=1e-4):
@@ -58,6 +58,16 @@ def pairs_of(known):
 )
 def test_a_step_has_to_reduce_violation_or_objective_and_stay_finite(trial, accepted):
     assert accepts(filter_of(), (1.0, 1.0), trial) is accepted
+
+
+@pytest.mark.parametrize(("left", "rise", "accepted"), [(0.0, 0.9, True), (0.0, 1.1, False), (0.6, 0.9, False)])
+def test_where_violation_is_rounding_the_objective_may_rise_by_what_is_gone_of_it_times_its_price(left, rise, accepted):
+    feasible, price = 1e-12, 1e6
+    trial = left * feasible, 1.0 + rise * price * feasible
+    assert accepts(filter_of(feasible=feasible), (feasible, 1.0), trial, slope=0.0, price=price) is accepted
+    assert not accepts(
+        filter_of(feasible=feasible), (2 * feasible, 1.0), (2 * feasible, trial[1]), slope=0.0, price=price
+    )
 
 
 @pytest.mark.parametrize("further", [0.0, 0.1])
