@@ -22,7 +22,7 @@ static const real CURVED = (real)0.1;      /* share of the terms of a slope that
 static const real BENT = (real)1e-3;       /* ... or of the terms that conditions are made of */
 static const real STILL = (real)1e-3;      /* relative move of a plan that hardly moves */
 static const real ROUNDING = (real)1e-14;  /* of these */
-static const real TANGENT = (real)1e-8;    /* relative residual of a tangent, whose right-hand side is a difference that rounds */
+static const real TANGENT = (real)1e-11;    /* relative residual of a tangent: where nothing moves, more would look like a turn */
 
 /* ---- gradients ----------------------------------------------------------------------------------------------------- */
 
