@@ -103,7 +103,7 @@ typedef struct kpirl_mpc_core {
   real *M;              /* the condensed Hessian of a stage (n_x, n_x) */
   real *weights, *force; /* of inequalities */
   real *stiffness;      /* of equalities */
-  real *sizes;          /* of states and actions (n_x), see kpirl_mpc_violation.c */
+  real *sizes, *units;  /* of states and actions (n_x), of inequalities (m); see kpirl_mpc_violation.c */
   real *row_sizes;      /* of the gradients of inequalities, then equalities (m + n_c), for elastic mode */
   real *target;         /* of y z (m) */
   real *right, *start;  /* right-hand side (n_w), and of s_0 (n_s) */

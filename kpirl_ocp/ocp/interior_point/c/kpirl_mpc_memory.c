@@ -98,6 +98,7 @@ static void lay_out(cursor *at, kpirl_mpc_core *core) {
   core->target = take_reals(at, m);
   core->stiffness = take_reals(at, kpirl_mpc_n_equalities(core));
   core->sizes = take_reals(at, n_x);
+  core->units = take_reals(at, m);
   core->row_sizes = take_reals(at, m + kpirl_mpc_n_equalities(core));
   core->right = take_reals(at, kpirl_mpc_n_point(core));
   core->start = take_reals(at, n_s);
@@ -180,6 +181,7 @@ kpirl_mpc_core *kpirl_mpc_core_init(const kpirl_mpc_dimensions *dimensions, cons
   lay_out(&at, core);
   sort(core);
   for (i = 0; i < n_x; ++i) core->sizes[i] = 1;
+  for (i = 0; i < kpirl_mpc_n_inequalities(core); ++i) core->units[i] = 1;
   return core;
 }
 

@@ -49,8 +49,8 @@ static real move(kpirl_mpc_core *core, real length, int lifted, real *objective,
   return kpirl_mpc_norm_in_sizes(core, trial->costates, T);
 }
 
-/* Slacks where g are the values of inequalities; violation += their residuals. Returns whether one has come too close to zero. */
-static int find_slacks(kpirl_mpc_core *core, real length, const real *g, real *violation) {
+/* Slacks where g are the values of inequalities. Returns whether one has come too close to zero. */
+static int find_slacks(kpirl_mpc_core *core, real length, const real *g) {
   const int m = kpirl_mpc_n_inequalities(core);
   const real least = REMAINDER * (1 - core->step.share), *before = core->at.y;
   real *y = core->trial.y;
@@ -61,7 +61,6 @@ static int find_slacks(kpirl_mpc_core *core, real length, const real *g, real *v
       continue;
     }
     y[i] = trial_slack(core, i, length, g[i]);
-    *violation += kpirl_mpc_abs(kpirl_mpc_slack_residual(core, g[i], y[i]));
     outside |= y[i] < least * before[i];
   }
   return outside;
@@ -77,10 +76,11 @@ void kpirl_mpc_trial_point(kpirl_mpc_core *core, real length, int lifted, kpirl_
   kpirl_mpc_gap(core, trial->x, core->start);
   theta += kpirl_mpc_norm_in_sizes(core, core->start, 1);
   kpirl_mpc_equalities(core, trial->x, equality, trial->nu);
-  if (core->penalty <= 0) theta += kpirl_mpc_norm_1(trial->nu, n_c);
+  theta += kpirl_mpc_equality_violation(core, trial->nu);
   kpirl_mpc_inequalities(core, trial->x, path, g);
   penalty = core->penalty > 0 ? kpirl_mpc_penalty(core, g, trial->nu) : 0;
-  outside = find_slacks(core, length, g, &theta);
+  outside = find_slacks(core, length, g);
+  theta += kpirl_mpc_slack_violation(core, g, trial->y);
   if (core->failed) theta = (real)NAN; /* outside the domain of a function: no place to go */
   core->failed = 0;
   merit->theta = theta;

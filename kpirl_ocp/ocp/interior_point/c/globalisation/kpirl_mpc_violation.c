@@ -1,17 +1,18 @@
 /* SPDX-License-Identifier: MIT
  *
- * How far an iterate is from feasible: the sum of all violations, those of the dynamics in units of their states. Metres and
- * millimetres, and states of different units beside each other, count the same.
+ * How far an iterate is from feasible: the sum of all violations. Those of the dynamics and of bounds are in units of states and
+ * actions, so that metres and millimetres count the same, and states of different units beside each other.
  */
 #include "kpirl_mpc_method.h"
 
 #include <string.h>
 
-/* The largest of
+/* Sizes of states and actions: the largest of
  *     |x_i|  and, of a state,  sum_j |df_i / dx_j| |x_j|
  * over the stages. The second is what the linearised dynamics add up, also where that cancels: rounding is relative to it. */
 void kpirl_mpc_measure(kpirl_mpc_core *core, const real *F) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), n_w = kpirl_mpc_n_point(core);
+  const int bounds = kpirl_mpc_n_bounds(core), m = kpirl_mpc_n_inequalities(core);
   const real *x = core->at.x;
   real *sizes = core->sizes;
   int i, j, t;
@@ -25,32 +26,44 @@ void kpirl_mpc_measure(kpirl_mpc_core *core, const real *F) {
     }
   for (i = 0; i < n_x; ++i)
     if (!(sizes[i] > 0)) sizes[i] = 1;
+  for (i = 0; i < m; ++i) core->units[i] = i < bounds ? sizes[kpirl_mpc_bounded_entry(core, i) % n_x] : 1;
 }
 
 real kpirl_mpc_norm_in_sizes(const kpirl_mpc_core *core, const real *states, int stages) {
   const int n_s = DIM(core, n_states);
   real sum = 0;
+  int i, t;
+  for (t = 0; t < stages; ++t)
+    for (i = 0; i < n_s; ++i) sum += kpirl_mpc_abs(states[t * n_s + i]) / core->sizes[i];
+  return sum;
+}
+
+real kpirl_mpc_slack_violation(const kpirl_mpc_core *core, const real *g, const real *y) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  real sum = 0;
   int i;
-  for (i = 0; i < stages * n_s; ++i) sum += kpirl_mpc_abs(states[i]) / core->sizes[i % n_s];
+  for (i = 0; i < m; ++i)
+    if (!kpirl_mpc_is_elastic(core, i))
+      sum += kpirl_mpc_abs(kpirl_mpc_slack_residual(core, g[i], y[i])) / core->units[i];
+  return sum;
+}
+
+real kpirl_mpc_equality_violation(const kpirl_mpc_core *core, const real *c) {
+  const int n_x = DIM(core, n_states) + DIM(core, n_actions), n_fixed = core->n_fixed;
+  real sum = kpirl_mpc_norm_1(c + n_fixed, kpirl_mpc_n_equalities(core) - n_fixed);
+  int i;
+  if (core->penalty > 0) return 0;
+  for (i = 0; i < n_fixed; ++i) sum += kpirl_mpc_abs(c[i]) / core->sizes[core->fixed[i] % n_x];
   return sum;
 }
 
 real kpirl_mpc_violation(const kpirl_mpc_core *core) {
   const kpirl_mpc_derivatives *d = &core->d;
-  const int m = kpirl_mpc_n_inequalities(core);
-  real sum = kpirl_mpc_norm_in_sizes(core, d->defects, DIM(core, horizon)) + kpirl_mpc_norm_in_sizes(core, d->gap, 1) +
-             (core->penalty > 0 ? 0 : kpirl_mpc_norm_1(d->c, kpirl_mpc_n_equalities(core)));
-  int i;
-  for (i = 0; i < m; ++i)
-    if (!kpirl_mpc_is_elastic(core, i)) sum += kpirl_mpc_abs(kpirl_mpc_slack_residual(core, d->g[i], core->at.y[i]));
-  return sum;
+  return kpirl_mpc_norm_in_sizes(core, d->defects, DIM(core, horizon)) + kpirl_mpc_norm_in_sizes(core, d->gap, 1) +
+         kpirl_mpc_equality_violation(core, d->c) + kpirl_mpc_slack_violation(core, d->g, core->at.y);
 }
 
-/* Of the violation. */
+/* Of the violation, whose terms are at most about one. */
 real kpirl_mpc_violation_rounding(const kpirl_mpc_core *core) {
-  const int bounds = kpirl_mpc_n_bounds(core);
-  real sum = kpirl_mpc_n_point(core);
-  int i;
-  for (i = 0; i < bounds; ++i) sum += kpirl_mpc_abs(core->at.x[kpirl_mpc_bounded_entry(core, i)]);
-  return 10 * KPIRL_MPC_EPSILON * sum;
+  return 2 * KPIRL_MPC_EPSILON * (real)kpirl_mpc_n_point(core);
 }
