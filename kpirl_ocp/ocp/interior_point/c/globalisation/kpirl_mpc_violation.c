@@ -65,5 +65,5 @@ real kpirl_mpc_violation(const kpirl_mpc_core *core) {
 
 /* Of the violation, whose terms are at most about one. */
 real kpirl_mpc_violation_rounding(const kpirl_mpc_core *core) {
-  return 2 * KPIRL_MPC_EPSILON * (real)kpirl_mpc_n_point(core);
+  return KPIRL_MPC_EPSILON * (real)kpirl_mpc_n_point(core);
 }

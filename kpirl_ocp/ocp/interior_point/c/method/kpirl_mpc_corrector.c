@@ -11,6 +11,7 @@ static const real CORRECTED = (real)0.5; /* length of a step from which its seco
  * NEAR tau and FAR tau count as central. */
 static const int CORRECTORS = 2;
 static const real LONGER = (real)0.1, GAIN = (real)0.01, NEAR = (real)0.1, FAR = 10;
+static const real ROUNDING = (real)1e-3; /* of products, relative to tau: where a step ends at the boundary, one is zero */
 
 typedef struct { real primal, dual; } lengths;
 
@@ -111,12 +112,13 @@ static void correct_again(kpirl_mpc_core *core) {
   const kpirl_mpc_iterate change = core->step.change;
   const lengths length = to_the_boundary(core, &change);
   const products before = products_after(core, &change, length);
+  const real tau = core->step.tau;
   products after;
   if (kpirl_mpc_min(length.primal, length.dual) <= CORRECTED) return;
   aim_at_second_order(core, &change);
   kpirl_mpc_step_to_target(core, &core->first.change);
   after = products_after(core, &core->first.change, to_the_boundary(core, &core->first.change));
-  if (!(after.mean < before.mean && after.least >= kpirl_mpc_min(NEAR * core->step.tau, before.least))) return;
+  if (!(after.mean < before.mean && after.least > kpirl_mpc_min(NEAR * tau, before.least) - ROUNDING * tau)) return;
   core->step.change = core->first.change;
   core->first.change = change;
 }

@@ -11,7 +11,7 @@
 static const real SHORTEST = (real)1e-10;  /* step off a point that is no minimum */
 static const real FAR = (real)1e12;       /* |x|, or multipliers relative to the gradient of J, beyond which an iterate has diverged */
 
-static int finite(const kpirl_mpc_core *core) {
+static int all_known(const kpirl_mpc_core *core) {
   const kpirl_mpc_derivatives *d = &core->d;
   const int n_w = kpirl_mpc_n_point(core);
   return !core->failed && isfinite(d->objective) && kpirl_mpc_all_finite(d->cost_gradient, n_w) &&
@@ -78,7 +78,7 @@ static int multipliers_diverged(const kpirl_mpc_core *core) {
 
 kpirl_mpc_status kpirl_mpc_converge(kpirl_mpc_core *core) {
   for (;; ++core->iterations) {
-    if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
+    if (!all_known(core)) return KPIRL_MPC_NOT_FINITE;
     if (kpirl_mpc_solved(core)) {
       const int left = to_be_examined(core) ? kpirl_mpc_escape(core, SHORTEST) : 0;
       if (left <= 0) return left ? KPIRL_MPC_NOT_A_MINIMUM : KPIRL_MPC_CONVERGED;
@@ -103,7 +103,7 @@ kpirl_mpc_status kpirl_mpc_advance(kpirl_mpc_core *core) {
   for (; core->iterations < core->options.steps; ++core->iterations) {
     const kpirl_mpc_iterate *at = &core->at, *change = &core->step.change;
     real length, objective;
-    if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
+    if (!all_known(core)) return KPIRL_MPC_NOT_FINITE;
     if (kpirl_mpc_core_out_of_time(core)) return KPIRL_MPC_TIME_LIMIT;
     if (!kpirl_mpc_find_positive_step(core, 0, 0)) return why_stuck(core);
     length = core->step.primal_length;
@@ -117,7 +117,7 @@ kpirl_mpc_status kpirl_mpc_advance(kpirl_mpc_core *core) {
     kpirl_mpc_accept_trial(core, core->iterations == core->options.steps - 1 ? KPIRL_MPC_FIRST : KPIRL_MPC_SECOND);
     kpirl_mpc_log_iteration(core);
   }
-  if (!finite(core)) return KPIRL_MPC_NOT_FINITE;
+  if (!all_known(core)) return KPIRL_MPC_NOT_FINITE;
   return kpirl_mpc_solved(core) ? KPIRL_MPC_CONVERGED : KPIRL_MPC_STEPS_TAKEN;
 }
 
