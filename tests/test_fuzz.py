@@ -72,6 +72,7 @@ def test_an_identification_of_anything_has_an_answer_or_is_refused_in_one_line(s
     found = identify(**arguments)
     for _ in range(30):
         name, value = draw.choice(list(arguments)), draw.choice(anything)
+        name = "noise" if value is len else name  # as a function T -> problem it raises an error of its own
         count += refused(lambda n=name, v=value: identify(**(arguments | {n: v})))
         ask = draw.choice([found.known, found.determined, found.intervals, found.credible_intervals])
         count += refused(lambda a=ask, v=value: a(v))

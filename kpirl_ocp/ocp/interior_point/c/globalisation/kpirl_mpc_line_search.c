@@ -164,6 +164,7 @@ int kpirl_mpc_newton_iterate(kpirl_mpc_core *core, int indefinite) {
 /* Move along the corrected step where it is one to a minimum; else along Newton steps, regularised. Returns whether it moved. */
 int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least) {
   core->trials = 0;
+  if (kpirl_mpc_outgrown(core)) kpirl_mpc_start_filter(core);
   least = kept_tau(core, least);
   kpirl_mpc_corrected_step(core, least);
   if (core->no_costates && !core->step.positive) {

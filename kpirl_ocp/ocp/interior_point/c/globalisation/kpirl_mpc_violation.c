@@ -7,9 +7,13 @@
 
 #include <string.h>
 
+static const real GROWN = 10;          /* |x| relative to a size that was measured before */
+static const real LEAST = (real)0.1;  /* size in violations: what is small where the filter begins may grow */
+
 /* Sizes of states and actions: the largest of
  *     |x_i|  and, of a state,  sum_j |df_i / dx_j| |x_j|
- * over the stages. The second is what the linearised dynamics add up, also where that cancels: rounding is relative to it. */
+ * over the stages. The second is what the linearised dynamics add up, also where that cancels: rounding is relative to it. Without
+ * F, for a start, there is no least size. */
 void kpirl_mpc_measure(kpirl_mpc_core *core, const real *F) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), n_w = kpirl_mpc_n_point(core);
   const int bounds = kpirl_mpc_n_bounds(core), m = kpirl_mpc_n_inequalities(core);
@@ -25,8 +29,18 @@ void kpirl_mpc_measure(kpirl_mpc_core *core, const real *F) {
       sizes[i] = kpirl_mpc_max(sum, sizes[i]);
     }
   for (i = 0; i < n_x; ++i)
-    if (!(sizes[i] > 0)) sizes[i] = 1;
+    sizes[i] = sizes[i] > 0 ? kpirl_mpc_max(F ? LEAST : 0, sizes[i]) : 1;
   for (i = 0; i < m; ++i) core->units[i] = i < bounds ? sizes[kpirl_mpc_bounded_entry(core, i) % n_x] : 1;
+}
+
+/* Has a state outgrown its size, because the filter began where it was small? */
+int kpirl_mpc_outgrown(const kpirl_mpc_core *core) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
+  int i, t;
+  for (t = 0; t <= T; ++t)
+    for (i = 0; i < n_s; ++i)
+      if (kpirl_mpc_abs(core->at.x[t * n_x + i]) > GROWN * core->sizes[i]) return 1;
+  return 0;
 }
 
 real kpirl_mpc_norm_in_sizes(const kpirl_mpc_core *core, const real *states, int stages) {

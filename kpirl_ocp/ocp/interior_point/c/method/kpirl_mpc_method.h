@@ -39,6 +39,7 @@ int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core);
 
 /* violation: sizes of states and actions at core->at, without F before it is known; |states| in these sizes, summed over stages */
 void kpirl_mpc_measure(kpirl_mpc_core *core, const real *F);
+int kpirl_mpc_outgrown(const kpirl_mpc_core *core);
 real kpirl_mpc_norm_in_sizes(const kpirl_mpc_core *core, const real *states, int stages);
 real kpirl_mpc_slack_violation(const kpirl_mpc_core *core, const real *g, const real *y);
 real kpirl_mpc_equality_violation(const kpirl_mpc_core *core, const real *c);
