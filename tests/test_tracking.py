@@ -15,7 +15,7 @@ from films import HEIGHT, WALL, WIDTH, film, paste, pose, texture
 from kpirl_ocp.errors import DemonstrationError, FileError
 from kpirl_ocp.perception.data.video import iterate_frames
 from kpirl_ocp.perception.tracking import objects
-from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, refusal
+from kpirl_ocp.perception.tracking.admission import check_steps, good_until, moving_part, refusal
 from kpirl_ocp.perception.tracking.appearance import Memory, Views
 from kpirl_ocp.perception.tracking.identity.lookalikes import Lookalikes
 from kpirl_ocp.perception.tracking.pictures import at_times, captioned, overlay, overlays, track_film, track_sheet
@@ -258,6 +258,28 @@ def test_keypoints_that_are_not_seen_are_refused_with_the_time():
     assert "from 0.67 to 1.33 s" in found.reason
     assert found.frames[0] == 19
     assert 20 <= found.frames[1] < 40
+
+
+@pytest.mark.parametrize("hide", [slice(40, 60), slice(45, None)], ids=["and seen again", "to the end"])
+def test_what_was_seen_before_the_object_was_lost_is_a_demonstration(hide):
+    hidden = tracks_of(WAY)
+    hidden.confidence[hide] = 0
+    until = good_until(hidden)
+    assert hidden.times[hide.start - 1] - 0.01 < until <= hidden.times[hide.start - 1]
+    assert refusal(hidden.between(0, until)) is None
+
+
+def test_the_part_before_a_jump_is_a_demonstration():
+    jumped = WAY.copy()
+    jumped[40:] += [0, 60]
+    assert good_until(tracks_of(jumped)) == 1.3
+
+
+def test_of_tracks_that_hardly_moved_when_the_object_was_lost_no_part_is_a_demonstration():
+    hidden = tracks_of(WAY)
+    hidden.confidence[5:] = 0
+    assert good_until(hidden) is None
+    assert good_until(tracks_of(np.repeat(WAY[:1], 60, axis=0))) is None
 
 
 def test_steps_that_cut_the_path_short_are_too_few():

@@ -21,7 +21,7 @@ from kpirl_ocp.irl.visual.reach import check_reach
 from kpirl_ocp.ocp.export.folder import export_c
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.detector.tracks import detector_tracks
-from kpirl_ocp.perception.tracking.admission import check_steps, moving_part, refusal
+from kpirl_ocp.perception.tracking.admission import check_steps, good_until, moving_part, refusal
 from kpirl_ocp.perception.tracking.pictures import draw_object, evenly, track_film, track_sheet
 from kpirl_ocp.perception.tracking.tracks import Tracks, read_tracks, write_tracks
 from kpirl_ocp.perception.tracking.watch import (
@@ -131,7 +131,13 @@ def _admit(args: Namespace, film: Film, tracks: Tracks) -> None:
     found = refusal(tracks)
     if found is not None:
         picture = track_sheet(args.out / "refused.png", _played(film), tracks, found.frames)
-        raise DemonstrationError(f"{found.reason} See {picture}.{_guess(args)}")
+        raise DemonstrationError(f"{found.reason} See {picture}.{_guess(args)}{_until(tracks)}")
+
+
+def _until(tracks: Tracks) -> str:
+    """The option that leaves out what is refused, if a part before that can be learned from."""
+    end = good_until(tracks)
+    return "" if end is None else f" Until {end:g} s it is seen for sure and moves: --end {end:g} takes that part."
 
 
 def _guess(args: Namespace) -> str:

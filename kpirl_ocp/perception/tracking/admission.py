@@ -8,7 +8,7 @@ import numpy as np
 
 from kpirl_ocp.errors import DemonstrationError
 from kpirl_ocp.perception.tracking.tracks import Tracks
-from kpirl_ocp.types import Array
+from kpirl_ocp.types import Array, Mask
 
 _STILL = 0.03  # a demonstration moves farther than this [longer side of the image]
 _JUMP = 2.5  # faster than this is no hand but another object [longer sides per second]
@@ -30,6 +30,15 @@ class Refusal:
 def refusal(tracks: Tracks) -> Refusal | None:
     """Why tracks cannot be learned from; None if they can."""
     return _unsure(tracks) or _jumps(tracks) or _still(tracks)
+
+
+def good_until(tracks: Tracks) -> float | None:
+    """Until when [s, down to a hundredth] refused tracks can be learned from; None if no such beginning can."""
+    ends = np.floor(100 * tracks.times[_before_trouble(tracks)] + 1e-6) / 100
+    for end in ends[np.searchsorted(tracks.times, ends, side="right") > 1]:
+        if refusal(tracks.between(tracks.times[0], end)) is None:
+            return float(end)
+    return None
 
 
 def moving_part(tracks: Tracks) -> tuple[float, float]:
@@ -73,7 +82,7 @@ def _still(tracks: Tracks) -> Refusal | None:
 
 
 def _jumps(tracks: Tracks) -> Refusal | None:
-    speed = np.linalg.norm(np.diff(tracks.centre, axis=0), axis=1) / np.diff(tracks.times) / max(tracks.size)
+    speed = _speeds(tracks)
     worst = int(speed.argmax())
     if speed[worst] <= _JUMP:
         return None
@@ -86,21 +95,38 @@ def _jumps(tracks: Tracks) -> Refusal | None:
 
 
 def _unsure(tracks: Tracks) -> Refusal | None:
-    unsure = tracks.confidence.mean(axis=1) < _SURE
+    unsure = _unsure_frames(tracks)
     start, longest = _longest_run(unsure)
     if unsure.mean() <= _UNSURE and longest <= _GAP * tracks.rate:
         return None
     end = min(start + longest, len(unsure) - 1)
     return Refusal(
         f"the object was not seen for sure from {tracks.times[start]:.2f} to {tracks.times[end]:.2f} s "
-        f"({unsure.mean():.0%} of all frames): something hides it, it leaves the picture, is too blurred, or moves too "
-        "far from one frame to the next. Choose a part of the film (--start, --end), mark the object (--points, "
-        "--box), or film it again.",
+        f"({unsure.mean():.0%} of all frames): something hides it or looks like it, it leaves the picture, is too "
+        "blurred, or moves too far from one frame to the next. Choose a part of the film (--start, --end), mark the "
+        "object (--points, --box), or film it again.",
         (max(start - 1, 0), start + longest // 2, end),
     )
 
 
-def _longest_run(flags: Array) -> tuple[int, int]:
+def _before_trouble(tracks: Tracks) -> list[int]:
+    """The sure frames after which the object is not seen for sure, or jumps; the latest first."""
+    unsure = _unsure_frames(tracks)
+    trouble = unsure[1:] | (_speeds(tracks) > _JUMP)
+    return np.flatnonzero(trouble & ~unsure[:-1])[::-1].tolist()
+
+
+def _unsure_frames(tracks: Tracks) -> Mask:
+    return tracks.confidence.mean(axis=1) < _SURE
+
+
+def _speeds(tracks: Tracks) -> Array:
+    """From each frame to the next (n - 1,) [longer sides per second]."""
+    gaps = np.linalg.norm(np.diff(tracks.centre, axis=0), axis=1)
+    return np.asarray(gaps / np.diff(tracks.times) / max(tracks.size), float)
+
+
+def _longest_run(flags: Mask) -> tuple[int, int]:
     """Start and length of the longest run of true values."""
     best, start = (0, 0), 0
     for index, flag in enumerate([*flags, False]):
