@@ -116,7 +116,7 @@ COSTS = {  # what is changed in a learned cost.json, end of the sentence
     "rate must be a number of at least 0, got nan.": {"rate": float("nan")},
     "kind must be one of gradient_descent, riccati, ipopt, got 'newton'.": {"solver": {"kind": "newton"}},
     "holds 1 numbers psi, and its cost has 9.": {"psi": [1.0]},
-    "is for panda as in a film, not for the iiwa's own keypoints: use `kpirl learn-video --cost`.": {
+    "not for the iiwa's own keypoints: use `kpirl learn-video FILM --robot panda --cost {cost}`,": {
         "arm": {"robot": "panda"}
     },
     "effort must be one number or one per step": {"effort": [1.0, 2.0]},
@@ -133,7 +133,7 @@ def test_a_learned_cost_that_is_changed_by_hand_is_refused(sentence, command, in
     assert run(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: --cost: ")
-    assert sentence in line
+    assert sentence.format(cost=tmp_path / "cost.json") in line
 
 
 @pytest.mark.parametrize("shown", [[99], [-1], [0.5], [], "abc", None])

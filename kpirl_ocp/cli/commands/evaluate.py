@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from argparse import Namespace
 from pathlib import Path
 
@@ -24,9 +25,10 @@ def cost_of_the_iiwa(path: Path, robot: Robot) -> LearnedCost:
         learned = LearnedCost.read(path)
         setting = learned.setting
         if setting.robot != "iiwa" or setting.keypoints or setting.camera:
+            command = shlex.join(["kpirl", "learn-video", "FILM", "--robot", setting.robot, "--cost", str(path)])
             raise FileError(
                 f"{path} is for {setting.robot} as in a film, not for the iiwa's own keypoints: "
-                "use `kpirl learn-video --cost`."
+                f"use `{command}`, with --export for a controller in C."
             )
         needed = learned.problem(robot).n_parameters
         if learned.psi.size != needed:
