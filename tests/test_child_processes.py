@@ -1,5 +1,6 @@
 """Child processes never hear Ctrl-C or SIGTERM; what comes to their parent while they start acts when they have."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -281,7 +282,7 @@ def test_a_collection_whose_processes_start_ends_in_one_line(by, monkeypatch, tm
 
 @pytest.mark.parametrize("backend", ["loky", "dask"])
 @BOTH
-def test_a_sweep_whose_processes_start_is_interrupted(backend, by, monkeypatch, tmp_path):
+def test_a_sweep_whose_processes_start_is_interrupted_and_leaves_none_of_them(backend, by, monkeypatch, tmp_path):
     place = (joblib.Parallel, "__call__")
     if backend == "dask":
         place = (pytest.importorskip("dask.distributed").LocalCluster, "__init__")
@@ -289,8 +290,10 @@ def test_a_sweep_whose_processes_start_is_interrupted(backend, by, monkeypatch, 
     sweep = import_module("reproduction.sweep")
     signalled(monkeypatch, *place, by)
     jobs = [sweep.Job(f"{number}", asdict, {"obj": Status.CONVERGED}) for number in range(3)]
+    before = set(multiprocessing.active_children())
     with pytest.raises(KeyboardInterrupt), stoppable(), sweep.backend(backend, None, 2) as runner:
         sweep.run_sweep("test", jobs, tmp_path, runner)
+    assert set(multiprocessing.active_children()) <= before
 
 
 def test_sigterm_while_ray_begins_is_an_interruption(monkeypatch):

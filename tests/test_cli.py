@@ -534,8 +534,7 @@ def test_an_own_file_may_have_any_name_hold_dataclasses_and_import_its_neighbour
 def test_every_solver_finds_the_same_plan_of_an_own_problem(own, tmp_path):
     objectives = []
     for solver in ("riccati", "ipopt", "fatrop", "sqp"):
-        result = kpirl("solve", f"{own}:pendulum", "--solver", solver, "--out", tmp_path / solver)
-        assert result.returncode == 0, result.stderr
+        assert run(["solve", f"{own}:pendulum", "--solver", solver, "--quiet", "--out", str(tmp_path / solver)]) == 0
         objectives.append(json.loads((tmp_path / solver / "metrics.json").read_text())["results"]["objective"])
     assert max(objectives) - min(objectives) < 1e-7 * objectives[0]
 
@@ -548,12 +547,12 @@ def test_a_solve_that_does_not_converge_exits_with_one(own, tmp_path):
 
 def test_the_saved_options_repeat_the_call_and_the_command_line_goes_first(tmp_path):
     first = ["solve", "--move", "-1e-1", "0", "-0.1", "--horizon", "4", "--effort", "0.5"]
-    assert kpirl(*first, "--out", tmp_path / "a").returncode == 0
-    config = yaml.safe_load((tmp_path / "a/config.yaml").read_text())
+    assert run([*first, "--out", str(tmp_path / "a")]) == 0
+    saved = str(tmp_path / "a/config.yaml")
+    config = yaml.safe_load(Path(saved).read_text())
     assert config["move"] == [-0.1, 0.0, -0.1]
-    assert kpirl("solve", "--config", tmp_path / "a/config.yaml", "--out", tmp_path / "b").returncode == 0
-    again = ["solve", "--config", tmp_path / "a/config.yaml", "--horizon", "5", "--out", tmp_path / "c"]
-    assert kpirl(*again).returncode == 0
+    assert run(["solve", "--config", saved, "--out", str(tmp_path / "b")]) == 0
+    assert run(["solve", "--config", saved, "--horizon", "5", "--out", str(tmp_path / "c")]) == 0
     a, b, c = (json.loads((tmp_path / name / "metrics.json").read_text())["results"]["actions"] for name in "abc")
     assert a == b
     assert (len(a), len(c)) == (4, 5)
@@ -648,8 +647,7 @@ def test_interrupted_learning_keeps_the_best_cost(by, to, tmp_path):
     results = json.loads((tmp_path / "metrics.json").read_text())["results"]
     assert json.loads((tmp_path / "cost.json").read_text())["psi"] == results["psi"]
     assert yaml.safe_load((tmp_path / "config.yaml").read_text())["task"] == "reaching"
-    again = kpirl("learn", "--iterations", taken + 2, "--task", "reaching", "--out", tmp_path)
-    assert again.returncode == 0, again.stderr
+    assert run(["learn", "--iterations", str(taken + 2), "--task", "reaching", "--out", str(tmp_path)]) == 0
     losses = json.loads((tmp_path / "metrics.json").read_text())["results"]["training_losses"]
     assert losses[: taken + 1] == results["training_losses"]
     assert len(losses) == taken + 3

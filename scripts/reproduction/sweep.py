@@ -149,8 +149,9 @@ def _dask(address: str | None, workers: int) -> Iterator[Runner]:
         stack.callback(logging.disable, logging.NOTSET)
         if address is None:
             with deaf_pool():
-                cluster = LocalCluster(workers, threads_per_worker=1, dashboard_address=":0")  # any that is free
-            client = stack.enter_context(Client(stack.enter_context(cluster)))
+                # Any port that is free. Entered in the block: a signal that waits for the end of the block closes it.
+                cluster = stack.enter_context(LocalCluster(workers, threads_per_worker=1, dashboard_address=":0"))
+            client = stack.enter_context(Client(cluster))
             client.run(logging.getLogger("distributed.worker.state_machine").setLevel, "ERROR")  # of cancelled jobs
         else:
             client = stack.enter_context(Client(address))
