@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import subprocess
 import tempfile
@@ -34,12 +35,26 @@ def folder(name: str, solver, prefix: str = "kpirl_mpc") -> tuple[Path, Case]:
 def built(out: Path, source: Path, *flags: str, compiler: str = "gcc", suffix: str = "*.c") -> str:
     """What a program made of a source and a folder prints; its compiler must be silent."""
     program = out / f"{source.stem}.out"
-    sources = [str(source), *map(str, sorted(out.glob(suffix)))]
-    command = [compiler, *flags, f"-I{out}", *sources, "-o", str(program), "-lm", "-lpthread"]
-    compiled = subprocess.run(command, capture_output=True, text=True)
-    assert compiled.returncode == 0, compiled.stderr[:3000]
-    assert not compiled.stderr
+    command = (compiler, *flags, f"-I{out}")
+    objects = [object_of(command, path) for path in (source, *sorted(out.glob(suffix)))]
+    _silent(*command, *objects, "-o", str(program), "-lm", "-lpthread")
     return ran(program)
+
+
+def object_of(command: tuple[str, ...], source: Path) -> str:
+    """The object file of a source; folders have many sources in common, down to their headers: each is made once."""
+    text = _silent(*command, "-E", "-P", str(source))
+    made = Path(_SCRATCH.name) / f"{hashlib.sha256(repr((command[:-1], text)).encode()).hexdigest()}.o"
+    if not made.exists():
+        _silent(*command, "-c", str(source), "-o", str(made))
+    return str(made)
+
+
+def _silent(*command: str) -> str:
+    """What a compiler writes to its output; it must succeed without a warning."""
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr[:3000]
+    return done.stdout
 
 
 def ran(program: Path, *arguments: str) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from exported import COMPILERS, STRICT, C, built, folder, ran
+from exported import COMPILERS, STRICT, C, built, folder, object_of, ran
 from problems import TABLE
 
 import kpirl_ocp
@@ -23,7 +23,7 @@ from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.ocp.solvers.sqp import SQP, program
 
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
-SANITIZED = ("-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+SANITIZED = ("-std=c99", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 NEEDED_AND_NOT = "interior_point", "sensitivity"
 COUNTED = ("-std=c99", "-DCOUNT_ALLOCATIONS", "-Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc,--wrap=free")
 
@@ -143,7 +143,7 @@ def test_the_example_plans_to_the_end():
 
 def test_two_controllers_in_two_threads_do_not_meet():
     out, _ = folder("integrator", CONVERGED)
-    assert "the same" in built(out, C / "threads.c", "-std=c99", "-O1", "-pthread")
+    assert "the same" in built(out, C / "threads.c", *STRICT)
 
 
 def test_two_prefixes_link_into_one_program(tmp_path):
@@ -172,10 +172,7 @@ def test_two_prefixes_link_into_one_program(tmp_path):
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
 def test_cpp_includes_it_and_has_a_class(tmp_path):
     out, _ = folder("integrator", CONVERGED)
-    objects = []
-    for source in out.glob("*.c"):
-        objects.append(str(tmp_path / f"{source.stem}.o"))
-        subprocess.run(["gcc", "-std=c99", "-O1", "-c", str(source), "-o", objects[-1]], check=True)
+    objects = [object_of(("gcc", *STRICT, f"-I{out}"), source) for source in out.glob("*.c")]
     flags = ["-std=c++11", "-fno-exceptions", "-fno-rtti", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{out}"]
     subprocess.run(["g++", *flags, str(C / "inclusion.cpp"), *objects, "-o", str(tmp_path / "cpp"), "-lm"], check=True)
     assert "NULL" in ran(tmp_path / "cpp")
