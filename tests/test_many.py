@@ -1,10 +1,11 @@
 """Many solves and gradients at once: the numbers of single ones, whatever the number of threads."""
 
 import os
+import pickle
 import signal
 import threading
 import time
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
@@ -40,6 +41,31 @@ def test_everything_may_differ_from_solve_to_solve():
         np.testing.assert_array_equal(one.psi, numbers)
         np.testing.assert_allclose(other.actions, one.actions, rtol=0, atol=1e-6)
         assert other.iterations <= 5
+
+
+def parts_of(value):
+    """All numbers, texts and arrays of a record and of the records in it, by name."""
+    if not is_dataclass(value):
+        return [("", value)]
+    assert vars(value).keys() == {field.name for field in fields(value)}, type(value)
+    return [(f"{name}.{inner}", part) for name, field in vars(value).items() for inner, part in parts_of(field)]
+
+
+@pytest.mark.parametrize("copy", [lambda one: pickle.loads(pickle.dumps(one)), replace], ids=["pickle", "replace"])
+def test_records_of_many_have_all_their_fields_also_when_they_are_copied(copy):
+    problem, found = CASE.problem, solve_many(CASE.problem, STARTS[:2], CASE.psi, CASE.demonstration.context)
+    slopes = [np.ones((2, *getattr(found[0], name).shape)) for name in ("states", "actions")]
+    for one in (*found, *pull_many(problem, found, *slopes)):
+        for (name, part), (other, copied) in zip(sorted(parts_of(one)), sorted(parts_of(copy(one))), strict=True):
+            assert (name, type(part)) == (other, type(copied))
+            np.testing.assert_array_equal(part, copied)
+
+
+def test_solutions_keep_their_numbers_when_those_they_were_given_change():
+    psi = np.tile(CASE.psi, (len(STARTS), 1))
+    found = solve_many(CASE.problem, STARTS, psi, CASE.demonstration.context)
+    psi[:] = 0.0
+    assert all((solution.psi == CASE.psi).all() for solution in found)
 
 
 def test_every_solve_has_its_own_status():

@@ -21,7 +21,7 @@ from kpirl_ocp.ocp.interior_point.machine_code import machine_code
 from kpirl_ocp.ocp.problem.solver import solve_and_linearise
 from kpirl_ocp.ocp.sensitivity import sensitivity
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem
-from kpirl_ocp.ocp.sensitivity.solution_arrays import as_row
+from kpirl_ocp.ocp.sensitivity.solution_arrays import as_rows
 from kpirl_ocp.ocp.solvers.child_process import ChildProcess
 
 SOLVERS = {"riccati": (Riccati(), 1e-8, 1e-6), "fatrop": (Fatrop(), 1e-6, 1e-4)}  # solver, objective, multipliers
@@ -246,7 +246,7 @@ def test_second_derivatives_are_handed_over_where_a_solve_ended_with_them(name):
     found, derivatives = Riccati().solve_and_linearise(problem, s0, psi, context)
     np.testing.assert_array_equal(found.actions, Riccati().solve(problem, s0, psi, context).actions)
     instance = Instance(problem, s0, psi, context)
-    system, row = KKTSystem(instance), as_row(problem, found)
+    system, row = KKTSystem(instance), as_rows(problem, [found])
     library().kpirl_mpc_kkt_set_solution(system.address, row.ctypes.data)
     fresh = kkt_in_c.derivatives_of(kkt_in_c.linearise(instance, system.point))
     kept = {field.name: np.copy(getattr(derivatives, field.name)) for field in fields(derivatives)}

@@ -17,7 +17,7 @@ from kpirl_ocp.ocp.conditions.structure import quadratic_program
 from kpirl_ocp.ocp.interior_point.evaluator import Compiled, Names, VirtualMachine, pointer_to
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare, prepare_function
-from kpirl_ocp.ocp.interior_point.results import RESULT, solution_rows
+from kpirl_ocp.ocp.interior_point.results import RESULT, solution_row, solutions_in
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
 from kpirl_ocp.ocp.interior_point.tapes import REPAID, Tape, Tapes, read_tapes
 from kpirl_ocp.ocp.problem.layout import by_stage, check_multipliers
@@ -100,16 +100,16 @@ class Core:
             guesses: B of them.
         """
         self._use(wish)
-        layout, count = solution_rows(self.problem), len(s0)
+        count = len(s0)
         kept = [np.ascontiguousarray(array, float) for array in (s0, psi, context)]
         begun = [[np.require(array, float, ("C", "A")) for array in self._start(guess)] for guess in guesses]
         numbers = c.Numbers(*map(c.address_of, kept), c.address_of(self._schedule))
         starts = (c.Start * count)(*(c.Start(*map(c.address_of, start)) for start in begun)) if any(begun) else None
-        found, results = layout.empty(count), np.empty(count, RESULT)
+        found, results = np.empty(count, solution_row(self.problem)), np.empty(count, RESULT)
         at = ctypes.addressof(numbers), ctypes.addressof(options), None if starts is None else ctypes.addressof(starts)
-        self._library.kpirl_mpc_solve_each(self._core, count, *at, c.address_of(found), c.address_of(results))
+        self._library.kpirl_mpc_solve_each(self._core, count, *at, found.ctypes.data, results.ctypes.data)
         self._evaluations += 2 * int(np.sum(results["iterations"] + 1)) * self.problem.horizon
-        return layout.solutions(psi, context, found, results, options.barrier)
+        return solutions_in(self.problem, kept[1], kept[2], found, results, options.barrier)
 
     def _use(self, wish: Compile) -> None:
         """The machine code that there is by now, or none, as is wished; and without it, tapes where they pay."""

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache, partial
-from itertools import accumulate, pairwise
-from math import prod
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,7 @@ from numpy.typing import NDArray
 import kpirl_ocp.ocp.interior_point.library as c
 from kpirl_ocp.ocp.problem.layout import multiplier_shapes
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
+from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory, record
 
 STATUS = {
     0: Status.CONVERGED,
@@ -30,63 +28,62 @@ STATUS = {
 RESULT = np.dtype(c.Result)
 
 
-class SolutionRows:
-    """B solutions as an array (B, n): a row holds the arrays of one, in the order of `shapes`, one behind the other.
+@lru_cache(maxsize=64)
+def solution_row(problem: OCP) -> np.dtype[np.void]:
+    """The arrays of a solution one behind the other, as the C code writes them, by their names."""
+    duals = {f"multipliers.{name}": shape for name, shape in multiplier_shapes(problem).items()}
+    plan = {"states": (problem.horizon + 1, problem.n_states), "actions": (problem.horizon, problem.n_actions)}
+    return np.dtype([(name, float, shape) for name, shape in (plan | duals).items()])
 
-    shapes: of the arrays of a solution, by name.
+
+def solutions_in(
+    problem: OCP, psi: Array, context: Array, rows: NDArray[np.void], results: NDArray[np.void], barrier: float
+) -> list[Solution]:
+    """Records, whose arrays show `rows` and copies of psi and context; one that is kept keeps the memory of all.
+
+    Args:
+        problem: that was solved.
+        psi: (B, n_psi) that they were found for.
+        context: (B, n_c).
+        rows: (B,) of `solution_row`, whose multipliers of given initial states become zero.
+        results: B structures `kpirl_mpc_result`.
+        barrier: of all.
     """
-
-    def __init__(self, problem: OCP) -> None:
-        duals = {f"multipliers.{name}": shape for name, shape in multiplier_shapes(problem).items()}
-        plan = {"states": (problem.horizon + 1, problem.n_states), "actions": (problem.horizon, problem.n_actions)}
-        self.shapes: dict[str, tuple[int, ...]] = plan | duals
-        self._ends = list(accumulate(map(prod, self.shapes.values()), initial=0))
-        self._given = np.flatnonzero(~problem.free_start)
-
-    def empty(self, count: int) -> Array:
-        """To be filled."""
-        return np.empty((count, self._ends[-1]))
-
-    def parts(self, rows: Array) -> list[Array]:
-        """The arrays (B, ..) of all solutions, which show `rows`."""
-        spans = zip(pairwise(self._ends), self.shapes.values(), strict=True)
-        return [rows[:, a:b].reshape(len(rows), *shape) for (a, b), shape in spans]
-
-    def solutions(
-        self, psi: Array, context: Array, rows: Array, results: NDArray[Any], barrier: float
-    ) -> list[Solution]:
-        """Records, whose arrays show `rows`.
-
-        Args:
-            psi: (B, n_psi) that they were found for.
-            context: (B, n_c).
-            rows: (B, n), whose multipliers of given initial states become zero.
-            results: B structures `kpirl_mpc_result`.
-            barrier: of all.
-        """
-        parts = self.parts(rows)
-        parts[3][:, 0, self._given] = 0
-        return list(map(partial(_solution, barrier), psi, context, results.tolist(), *parts))
+    rows["multipliers.state"][:, 0, ~problem.free_start] = 0
+    parts = (rows[name] for name in rows.dtype.names or ())
+    return list(map(partial(_solution, barrier), psi.copy(), context.copy(), results.tolist(), *parts))
 
 
 def _solution(barrier: float, psi: Array, context: Array, result: tuple[Any, ...], *parts: Array) -> Solution:
     """The record of one solution."""
     (stationarity, feasibility, complementarity, scale), objective, iterations, status = result
     states, actions, dynamics, state, action, path, terminal, path_equality, terminal_equality = parts
-    return Solution(
-        psi=psi,
-        context=context,
-        trajectory=Trajectory(states, actions),
-        multipliers=Multipliers(dynamics, state, action, path, path_equality, terminal, terminal_equality),
-        objective=objective,
-        residuals=KKTResiduals(stationarity, feasibility, complementarity, 0.0, scale),
-        status=STATUS[status],
-        iterations=iterations,
-        barrier=barrier,
-    )
-
-
-@lru_cache(maxsize=64)
-def solution_rows(problem: OCP) -> SolutionRows:
-    """The layout of a problem's solutions."""
-    return SolutionRows(problem)
+    multipliers = {
+        "dynamics": dynamics,
+        "state": state,
+        "action": action,
+        "path": path,
+        "path_equality": path_equality,
+        "terminal": terminal,
+        "terminal_equality": terminal_equality,
+    }
+    residuals = {
+        "stationarity": stationarity,
+        "feasibility": feasibility,
+        "complementarity": complementarity,
+        "sign": 0.0,
+        "scale": scale,
+    }
+    fields = {
+        "trajectory": record(Trajectory, {"states": states, "actions": actions}),
+        "multipliers": record(Multipliers, multipliers),
+        "objective": objective,
+        "residuals": record(KKTResiduals, residuals),
+        "status": STATUS[status],
+        "iterations": iterations,
+        "psi": psi,
+        "context": context,
+        "barrier": barrier,
+        "message": "",
+    }
+    return record(Solution, fields)

@@ -16,7 +16,7 @@ from kpirl_ocp.errors import CertificateError, ProblemError
 from kpirl_ocp.ocp.conditions.structure import own_derivatives_agree
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.pictures import card, draw, svg
-from kpirl_ocp.types import Mask, Solution, Status
+from kpirl_ocp.types import Mask, Solution, Status, record
 
 Policy = Literal["raise", "flag"]
 
@@ -131,9 +131,8 @@ def certified(solution: Solution, active: Mask, evidence: Mapping[str, float]) -
         failures.append(_NOT_ACCEPTABLE.format(found["distance"]))
     failures += [text.format(found[name], bound) for name, bound, text in _AT_MOST if not found[name] <= bound]
     failures += [text.format(found[name], bound) for name, bound, text in _AT_LEAST if not found[name] >= bound]
-    return SensitivityCertificate(
-        solution=solution, failures=tuple(failures), active=active, barrier=solution.barrier, **found
-    )
+    given = {"solution": solution, "failures": tuple(failures), "active": active, "barrier": solution.barrier}
+    return record(SensitivityCertificate, given | found)
 
 
 def judged(

@@ -20,8 +20,8 @@ from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, Memory, Pr
 from kpirl_ocp.ocp.sensitivity.rows import rows_of
 from kpirl_ocp.types import Array
 
-_FIELDS = [name for name, *_ in c.Evidence._fields_]
-_Numbers = c.REAL * len(_FIELDS)  # instead of `c.Evidence`: all of them are read at once
+MEASURED = tuple(name for name, *_ in c.Evidence._fields_)
+"""Fields of a `SensitivityCertificate`, in the order of the structure `kpirl_mpc_evidence` of numbers."""
 
 
 def measure(
@@ -36,12 +36,12 @@ def measure(
         slope: (n_w,) gradient by x.
         direction: (n_w,) direction along which smoothness is tested; by default the adjoint.
     """
-    found, evidence = ByParameters.empty(system.instance.problem), _Numbers()
+    found, evidence = ByParameters.empty(system.instance.problem), (c.REAL * len(MEASURED))()
     structure, along = found.structure, None if direction is None else c.address_of(direction)
     systems, ends = (system.address, nearby.address), (ctypes.addressof(structure), ctypes.addressof(evidence))
     function = core.function(parameter_derivatives.pull)
     core.library.kpirl_mpc_certify(*systems, core.address, function, c.address_of(slope), along, *ends)
-    return found, dict(zip(_FIELDS, evidence, strict=True))
+    return found, dict(zip(MEASURED, evidence, strict=True))
 
 
 def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:

@@ -29,7 +29,7 @@ from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives
 from kpirl_ocp.ocp.sensitivity.rows import Rows, rows_of
-from kpirl_ocp.ocp.sensitivity.solution_arrays import as_row, check_solution
+from kpirl_ocp.ocp.sensitivity.solution_arrays import as_rows, check_solution
 from kpirl_ocp.types import Array, Mask, Solution
 
 _OF_VIEW = attrgetter("defects", "path", "equality", "gradient", "F", "G", "E", "H")  # as in `c.View`, after the point
@@ -135,11 +135,11 @@ class KKTSystem:
         (`SensitivityCertificate.distance`). Derivatives that are not given are evaluated by the core; after a short
         step second ones stay those of the solution, until `renew`.
         """
-        row, known = as_row(self.instance.problem, solution), None
+        row, known = as_rows(self.instance.problem, [solution]), None
         if derivatives is not None:
             view, self._kept = _view_of(derivatives)
             known = ctypes.addressof(view)
-        given = self.address, core.address, c.address_of(row), known
+        given = self.address, core.address, row.ctypes.data, known
         self.finite = bool(self._library.kpirl_mpc_kkt_linearise(*given))
 
     def renew(self, core: Core) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -13,27 +14,27 @@ from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.certificate import judged
+from kpirl_ocp.ocp.sensitivity.evidence import MEASURED
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
 from kpirl_ocp.ocp.sensitivity.rows import rows_of
 from kpirl_ocp.ocp.sensitivity.solution_arrays import as_rows
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import Gradients, Workspace
 from kpirl_ocp.types import Array, Solution
 
-_EVIDENCE = np.dtype(c.Evidence)
-
 
 class _Answers:
     """Arrays into which the C code writes B gradients and their evidence, one row each.
 
-    by_parameters: (B, n_psi), (B, n_s), (B, n_c). evidence: (B,) structures. active: (B, n_rows), nonzero for active
-        rows. finite: (B,) zero where derivatives or slopes are not finite; the rows of the first two are then not set.
+    by_parameters: (B, n_psi), (B, n_s), (B, n_c). evidence: (B, 8), in the order of `MEASURED`. active: (B, n_rows),
+        nonzero for active rows. finite: (B,) zero where derivatives or slopes are not finite; the rows of the first two
+        are then not set.
     """
 
     def __init__(self, problem: OCP, count: int) -> None:
-        self.by_parameters, self.evidence = ByParameters.empty(problem, count), np.empty(count, _EVIDENCE)
+        self.by_parameters, self.evidence = ByParameters.empty(problem, count), np.empty((count, len(MEASURED)))
         self.active, self.finite = np.empty((count, len(rows_of(problem).inequality))), np.empty(count, np.intc)
-        own = map(c.address_of, (self.evidence, self.active, self.finite))
-        self.structure = c.Answers(self.by_parameters.structure, *own)
+        own = map(c.address_of, (self.evidence, self.active))
+        self.structure = c.Answers(self.by_parameters.structure, *own, c.address_of(self.finite))
 
 
 def pull_each(problem: OCP, solutions: Sequence[Solution], by_states: Array, by_actions: Array) -> list[Gradients]:
@@ -50,7 +51,7 @@ def pull_each(problem: OCP, solutions: Sequence[Solution], by_states: Array, by_
     schedule, barriers = np.ascontiguousarray(problem.schedule, float), np.array([each.barrier for each in solutions])
     numbers = c.Numbers(None, *map(c.address_of, (psi, context, schedule)))
     questions, answers = (
-        c.Questions(numbers, *map(c.address_of, (rows, slopes, barriers))),
+        c.Questions(numbers, rows.ctypes.data, *map(c.address_of, (slopes, barriers))),
         _Answers(problem, len(rows)),
     )
     with borrow_core(problem) as core:
@@ -65,10 +66,12 @@ def pull_each(problem: OCP, solutions: Sequence[Solution], by_states: Array, by_
 
 def _gradients(problem: OCP, solutions: Sequence[Solution], answers: _Answers) -> list[Gradients]:
     """One record per solution; their arrays are views of the answers."""
-    psi, s0, context = answers.by_parameters
-    for by in (psi, s0, context):
-        by[answers.finite == 0] = np.nan
-    measured = [dict(zip(_EVIDENCE.names or (), row, strict=True)) for row in answers.evidence.tolist()]
-    pairs = zip(solutions, answers.active != 0, measured, answers.finite, strict=True)
-    certificates = [judged("flag", problem, one, active, found if ok else None) for one, active, found, ok in pairs]
-    return list(map(Gradients, psi, s0, context, certificates))
+    undefined = answers.finite == 0
+    for by in answers.by_parameters:
+        by[undefined] = np.nan
+    evidence = [
+        None if nothing else dict(zip(MEASURED, row, strict=True))
+        for row, nothing in zip(answers.evidence.tolist(), undefined, strict=True)
+    ]
+    certificates = map(partial(judged, "flag", problem), solutions, answers.active != 0, evidence)
+    return list(map(Gradients, *answers.by_parameters, certificates))

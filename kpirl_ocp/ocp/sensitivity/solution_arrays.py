@@ -7,9 +7,10 @@ from functools import lru_cache
 from operator import attrgetter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.interior_point.results import solution_rows
+from kpirl_ocp.ocp.interior_point.results import solution_row
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.types import Array, Solution, floats
@@ -32,24 +33,16 @@ def check_solution(problem: OCP, solution: Solution, name: str = "the solution")
             raise ProblemError(f"{name}'s {part} must be {shape}, got {given}: it is of another problem.")
 
 
-def as_row(problem: OCP, solution: Solution) -> Array:
-    """A solution that fits a problem as a row (n,), see `SolutionRows`."""
+def as_rows(problem: OCP, solutions: Sequence[Solution]) -> NDArray[np.void]:
+    """Solutions that fit a problem as rows (B,), see `solution_row`."""
     arrays, _ = _arrays(problem)
-    return np.concatenate(arrays(solution)[:-2], axis=None, dtype=float)
-
-
-def as_rows(problem: OCP, solutions: Sequence[Solution]) -> Array:
-    """Solutions that fit a problem as rows (B, n), see `SolutionRows`."""
-    layout, (arrays, _) = solution_rows(problem), _arrays(problem)
-    rows = layout.empty(len(solutions))
-    found = zip(*(arrays(each)[:-2] for each in solutions), strict=True)
-    for part, of_all in zip(layout.parts(rows), found, strict=True):
-        part[...] = of_all
-    return rows
+    return np.array([arrays(each)[:-2] for each in solutions], solution_row(problem))
 
 
 @lru_cache(maxsize=64)
 def _arrays(problem: OCP) -> tuple[attrgetter[tuple[Array, ...]], dict[str, tuple[int, ...]]]:
     """A getter of a solution's arrays in the order of a row, then psi and context; and their shapes by name."""
-    shapes = solution_rows(problem).shapes | {"psi": (problem.n_parameters,), "context": (problem.n_context,)}
+    row = solution_row(problem)
+    shapes = {name: row[name].shape for name in row.names or ()}
+    shapes |= {"psi": (problem.n_parameters,), "context": (problem.n_context,)}
     return attrgetter(*shapes), shapes

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from _thread import start_new_thread
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
 from itertools import chain
 from operator import itemgetter
+from queue import SimpleQueue
 from typing import Any, TypeVar
 
 import numpy as np
@@ -50,7 +51,7 @@ def solve_many(
         threads: how many; None: as many as there are processors.
 
     Returns:
-        B solutions, each with a status of its own.
+        B solutions, each with a status of its own. Up to eight share memory, which is freed with the last of them.
 
     Raises:
         ProblemError: arrays of other shapes, or of different B.
@@ -138,11 +139,13 @@ def side_by_side(function: Callable[..., R], *columns: Iterable[Any], threads: i
     """The results of a function, in the order of its arguments. Raises ProblemError for less than one thread.
 
     This thread and others take one after the other; all stop after theirs when one fails or this thread is interrupted.
+    Those of `threading` would let this one wait until they run.
     """
     if threads is not None and threads < 1:
         raise ProblemError(f"threads must be at least 1, got {threads}.")
     left = deque(enumerate(zip(*columns, strict=True)))
     count, found, failed = min(threads or os.cpu_count() or 1, len(left)), {}, {}
+    running, ended = 0, SimpleQueue[None]()
 
     def call(number: int, given: tuple[Any, ...]) -> None:
         try:
@@ -156,13 +159,21 @@ def side_by_side(function: Callable[..., R], *columns: Iterable[Any], threads: i
             while True:
                 call(*left.popleft())
 
-    with ThreadPoolExecutor(max(count - 1, 1)) as others:
+    def help_out() -> None:
         try:
-            for _ in range(count - 1):
-                others.submit(work)
             work()
         finally:
-            left.clear()
+            ended.put(None)
+
+    try:
+        for _ in range(count - 1):
+            start_new_thread(help_out, ())
+            running += 1
+        work()
+    finally:
+        left.clear()
+        for _ in range(running):
+            ended.get()
     for _, error in sorted(failed.items(), key=itemgetter(0)):
         raise error
     return [found[number] for number in sorted(found)]
