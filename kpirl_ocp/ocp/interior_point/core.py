@@ -101,15 +101,16 @@ class Core:
         """
         self._use(wish)
         count = len(s0)
-        kept = [np.ascontiguousarray(array, float) for array in (s0, psi, context)]
+        kept = [np.array(array, float, order="C") for array in (s0, psi, context)]
         begun = [[np.require(array, float, ("C", "A")) for array in self._start(guess)] for guess in guesses]
         numbers = c.Numbers(*map(c.address_of, kept), c.address_of(self._schedule))
         starts = (c.Start * count)(*(c.Start(*map(c.address_of, start)) for start in begun)) if any(begun) else None
         found, results = np.empty(count, solution_row(self.problem)), np.empty(count, RESULT)
         at = ctypes.addressof(numbers), ctypes.addressof(options), None if starts is None else ctypes.addressof(starts)
         self._library.kpirl_mpc_solve_each(self._core, count, *at, found.ctypes.data, results.ctypes.data)
-        self._evaluations += 2 * int(np.sum(results["iterations"] + 1)) * self.problem.horizon
-        return solutions_in(self.problem, kept[1], kept[2], found, results, options.barrier)
+        solutions = solutions_in(self.problem, kept[1], kept[2], found, results, options.barrier)
+        self._evaluations += 2 * sum(each.iterations + 1 for each in solutions) * self.problem.horizon
+        return solutions
 
     def _use(self, wish: Compile) -> None:
         """The machine code that there is by now, or none, as is wished; and without it, tapes where they pay."""

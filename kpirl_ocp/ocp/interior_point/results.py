@@ -39,7 +39,7 @@ def solution_row(problem: OCP) -> np.dtype[np.void]:
 def solutions_in(
     problem: OCP, psi: Array, context: Array, rows: NDArray[np.void], results: NDArray[np.void], barrier: float
 ) -> list[Solution]:
-    """Records, whose arrays show `rows` and copies of psi and context; one that is kept keeps the memory of all.
+    """Records, whose arrays show these; one that is kept keeps the memory of all.
 
     Args:
         problem: that was solved.
@@ -51,7 +51,7 @@ def solutions_in(
     """
     rows["multipliers.state"][:, 0, ~problem.free_start] = 0
     parts = (rows[name] for name in rows.dtype.names or ())
-    return list(map(partial(_solution, barrier), psi.copy(), context.copy(), results.tolist(), *parts))
+    return list(map(partial(_solution, barrier), psi, context, results.tolist(), *parts))
 
 
 def _solution(barrier: float, psi: Array, context: Array, result: tuple[Any, ...], *parts: Array) -> Solution:

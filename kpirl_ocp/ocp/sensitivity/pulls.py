@@ -51,16 +51,16 @@ def pull_each(problem: OCP, solutions: Sequence[Solution], by_states: Array, by_
     schedule, barriers = np.ascontiguousarray(problem.schedule, float), np.array([each.barrier for each in solutions])
     numbers = c.Numbers(None, *map(c.address_of, (psi, context, schedule)))
     questions, answers = (
-        c.Questions(numbers, rows.ctypes.data, *map(c.address_of, (slopes, barriers))),
-        _Answers(problem, len(rows)),
+        c.Questions(numbers, *map(c.address_of, (rows, slopes, barriers))),
+        _Answers(problem, len(solutions)),
     )
     with borrow_core(problem) as core:
         at = core.kept(Workspace)
         at.release()
-        function = core.function(parameter_derivatives.pull, uses=len(rows))
+        function = core.function(parameter_derivatives.pull, uses=len(solutions))
         addresses = at.here.address, at.nearby.address, core.address, function
         ends = ctypes.addressof(questions), ctypes.addressof(answers.structure)
-        core.library.kpirl_mpc_certify_each(*addresses, len(rows), *ends)
+        core.library.kpirl_mpc_certify_each(*addresses, len(solutions), *ends)
     return _gradients(problem, solutions, answers)
 
 
