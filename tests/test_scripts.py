@@ -91,20 +91,18 @@ def test_a_tiny_run_writes_its_numbers_and_a_figure(script, inputs, tmp_path):
 @pytest.mark.parametrize("method", ["unrolled", "implicit"])
 @pytest.mark.parametrize("cost", ["weighted", "time", "rbf"])
 def test_every_cost_can_be_learned_by_every_method(method, cost, inputs, tmp_path):
-    arguments = ["--demonstrations", str(inputs["demos"]), "--method", method, "--cost", cost, "--iterations", "4"]
-    result = call("learn_cost.py", *arguments, "--out", str(tmp_path))
-    assert result.returncode == 0, result.stderr
+    words = ["learn", "--demonstrations", str(inputs["demos"]), "--method", method, "--cost", cost]
+    assert run([*words, "--iterations", "4", "--out", str(tmp_path)]) == 0
     losses = json.loads((tmp_path / "metrics.json").read_text())["results"]["training_losses"]
     assert min(losses) < losses[0]
     assert not (tmp_path / "learning.npz").exists()  # the checkpoint of a learning that has not ended
 
 
-def test_a_cost_can_be_learned_from_two_demonstrations_and_needs_one_more_for_testing(inputs, tmp_path):
-    base = ["--demonstrations", str(inputs["demos"]), "--iterations", "2", "--out", str(tmp_path)]
-    assert call("learn_cost.py", *base, "--train", "2").returncode == 0
-    result = call("learn_cost.py", *base, "--train", "3")
-    assert result.returncode == 2
-    assert "at least one for testing" in result.stderr
+def test_a_cost_can_be_learned_from_two_demonstrations_and_needs_one_more_for_testing(inputs, tmp_path, capsys):
+    words = ["learn", "--demonstrations", str(inputs["demos"]), "--iterations", "2", "--out", str(tmp_path)]
+    assert run([*words, "--train", "2"]) == 0
+    assert run([*words, "--train", "3"]) == 2
+    assert "at least one for testing" in capsys.readouterr().err
 
 
 COSTS = {  # what is changed in a learned cost.json, end of the sentence
@@ -281,7 +279,7 @@ import bench.suite
 def broken(preset):
     raise ValueError("a peer has changed")
 bench.suite.PARTS["solvers"] = broken
-words = ["--preset", "tiny", "--only", "solvers", "ceilings", "--page", "--out", {str(tmp_path)!r}]
+words = ["--preset", "tiny", "--only", "solvers", "growth", "--page", "--out", {str(tmp_path)!r}]
 sys.argv = [{str(ROOT / "scripts/benchmark.py")!r}, *words]
 runpy.run_path(sys.argv[0], run_name="__main__")
 """
@@ -289,8 +287,8 @@ runpy.run_path(sys.argv[0], run_name="__main__")
     assert ended.returncode == 2, ended.stderr
     assert "ValueError: a peer has changed" in ended.stderr
     last = ended.stderr.splitlines()[-1]
-    assert last == f"error: solvers failed, for reasons above; what ceilings measured is in {tmp_path}."
-    assert json.loads((tmp_path / "metrics.json").read_text())["results"].keys() == {"ceilings", "bars"}
+    assert last == f"error: solvers failed, for reasons above; what growth measured is in {tmp_path}."
+    assert json.loads((tmp_path / "metrics.json").read_text())["results"].keys() == {"growth", "bars"}
     assert "page:" not in ended.stdout
 
 
@@ -310,7 +308,7 @@ assert set(stress_test.PROFILES) == stress.suite.PROFILES.keys()
 INTERRUPTED = {  # words, sign of progress on stderr or stdout, sentence
     "handwriting.py --shapes Line Sine --steps 3": (r"50%", r"7 strokes are in \S+metrics.json"),
     "imitate_expert.py": (r"start  1", r"\d+ of 20 starts are in \S+metrics.json"),
-    "benchmark.py --preset tiny --only ceilings solvers": (r"solvers \.\.", r"1 of 2 parts are in \S+metrics.json"),
+    "benchmark.py --preset tiny --only growth solvers": (r"solvers \.\.", r"1 of 2 parts are in \S+metrics.json"),
     "identifiability.py --simulated 5": (r"demonstrations: 5", r"1 of 3 rows of coverage are in \S+metrics.json"),
 }
 
