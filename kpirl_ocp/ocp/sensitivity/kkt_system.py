@@ -139,7 +139,7 @@ class KKTSystem:
         if derivatives is not None:
             view, self._kept = _view_of(derivatives)
             known = ctypes.addressof(view)
-        given = self.address, core.address, c.address_of(row), known
+        given = self.address, core.address, row.ctypes.data, known
         self.finite = bool(self._library.kpirl_mpc_kkt_linearise(*given))
 
     def renew(self, core: Core) -> None:

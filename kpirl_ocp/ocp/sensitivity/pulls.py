@@ -11,7 +11,6 @@ import numpy as np
 from kpirl_ocp.ocp.conditions import parameter_derivatives
 from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
-from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.certificate import judged
 from kpirl_ocp.ocp.sensitivity.evidence import MEASURED
@@ -37,21 +36,20 @@ class _Answers:
         self.structure = c.Answers(self.by_parameters.structure, *own, c.address_of(self.finite))
 
 
-def pull_each(problem: OCP, solutions: Sequence[Solution], by_states: Array, by_actions: Array) -> list[Gradients]:
+def pull_each(problem: OCP, solutions: Sequence[Solution], slopes: Array) -> list[Gradients]:
     """`Sensitivity.pull` under the policy "flag" for B solutions of a problem, with one function each.
 
     Args:
         problem: the problem that was solved.
         solutions: B solutions that fit it, see `check_solution`.
-        by_states: dL/dS of each (B, T+1, n_s).
-        by_actions: dL/dU of each (B, T, n_u).
+        slopes: dL/dx of each (B, n_w), see `by_stage`.
     """
-    slopes, rows = by_stage(by_states, by_actions), as_rows(problem, solutions)
+    rows = as_rows(problem, solutions)
     psi, context = (np.array([getattr(each, name) for each in solutions]) for name in ("psi", "context"))
     schedule, barriers = np.ascontiguousarray(problem.schedule, float), np.array([each.barrier for each in solutions])
     numbers = c.Numbers(None, *map(c.address_of, (psi, context, schedule)))
     questions, answers = (
-        c.Questions(numbers, *map(c.address_of, (rows, slopes, barriers))),
+        c.Questions(numbers, rows.ctypes.data, *map(c.address_of, (slopes, barriers))),
         _Answers(problem, len(solutions)),
     )
     with borrow_core(problem) as core:

@@ -7,6 +7,7 @@ from functools import lru_cache
 from operator import attrgetter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.interior_point.results import solution_row
@@ -32,10 +33,13 @@ def check_solution(problem: OCP, solution: Solution, name: str = "the solution")
             raise ProblemError(f"{name}'s {part} must be {shape}, got {given}: it is of another problem.")
 
 
-def as_rows(problem: OCP, solutions: Sequence[Solution]) -> Array:
-    """The numbers of B solutions that fit a problem (B n,), each in the order of `solution_row`."""
+def as_rows(problem: OCP, solutions: Sequence[Solution]) -> NDArray[np.void]:
+    """Solutions that fit a problem as rows (B,), see `solution_row`.
+
+    `numpy.concatenate` would hand the interpreter's lock to another thread after each array.
+    """
     arrays, _ = _arrays(problem)
-    return np.concatenate([part for each in solutions for part in arrays(each)[:-2]], axis=None, dtype=float)
+    return np.array([arrays(each)[:-2] for each in solutions], solution_row(problem))
 
 
 @lru_cache(maxsize=64)

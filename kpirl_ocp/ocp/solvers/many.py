@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BatchSolver, Guess, Solver
 from kpirl_ocp.ocp.sensitivity.certificate import Policy, check_policy, require
@@ -106,12 +107,12 @@ def pull_many(
     if len(set(given.values())) > 1:
         raise ProblemError(f"pull_many needs as many of everything, got {given}.")
     check_policy(policy, ("raise", "flag"))
-    states, actions = _whole(problem.as_states, states), _whole(problem.as_actions, actions)
+    slopes = _by_stage(problem, states, actions)
 
     def pull(part: slice) -> list[Gradients]:
         for number, solution in enumerate(solutions[part], part.start):
             check_solution(problem, solution, f"solution {number}")
-        return pull_each(problem, solutions[part], states[part], actions[part])
+        return pull_each(problem, solutions[part], slopes[part])
 
     found = in_groups(pull, len(solutions), threads)
     for number, gradients in enumerate(found):
@@ -179,10 +180,15 @@ def side_by_side(function: Callable[..., R], *columns: Iterable[Any], threads: i
     return [found[number] for number in sorted(found)]
 
 
+def _by_stage(problem: OCP, states: Array, actions: Array) -> Array:
+    """Slopes by states and actions of B plans in the order of time (B, n_w); raises ProblemError for other shapes."""
+    if not len(states):
+        return np.zeros((0, 0))
+    return by_stage(_whole(problem.as_states, states), _whole(problem.as_actions, actions))
+
+
 def _whole(fit: Callable[[Array], Array], slopes: Array) -> Array:
     """Slopes as `OCP.as_states` or `OCP.as_actions` has each; they are one shape, and so is what they lack."""
-    if not len(slopes):
-        return slopes
     whole = fit(slopes[0])
     return slopes if whole.shape == slopes.shape[1:] else np.array([fit(each) for each in slopes])
 
