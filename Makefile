@@ -83,6 +83,8 @@ docs: .venv/installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "open out/site/index.html"
 
+# Modules are compiled once, not by each of hundreds of processes, even where Python is told to write no bytecode.
+test: export PYTHONDONTWRITEBYTECODE =
 test: .venv/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

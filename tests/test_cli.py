@@ -347,6 +347,11 @@ def test_usual_spellings_of_a_number_are_taken(word, value):
         assert whole(0)(word) == value
 
 
+def test_a_command_that_draws_nothing_imports_nothing_that_draws():
+    code = "import sys, kpirl_ocp.cli.commands.export; print('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "False\n"
+
+
 def taken(kind, word):
     with contextlib.suppress(ArgumentTypeError):
         return kind(word)

@@ -8,7 +8,7 @@ from pathlib import Path
 from shlex import quote
 from typing import NamedTuple
 
-from kpirl_ocp.cli.commands.evaluate import cost_of_the_iiwa
+from kpirl_ocp.cli.learned_cost import cost_of_the_iiwa
 from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.irl.cases.own import load_own
