@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -258,6 +259,13 @@ def test_keypoints_that_are_not_seen_are_refused_with_the_time():
     assert "from 0.67 to 1.33 s" in found.reason
     assert found.frames[0] == 19
     assert 20 <= found.frames[1] < 40
+
+
+def test_reasons_are_those_of_tracks_from_anywhere_so_that_none_asks_to_mark_the_object():
+    jumped, still = WAY.copy(), np.repeat(WAY[:1], 60, axis=0)
+    jumped[40:] += [0, 60]
+    for tracks in (tracks_of(jumped), tracks_of(still), tracks_of(WAY, confidence=0.0)):
+        assert not re.search("--points|--box", refusal(tracks).reason)
 
 
 @pytest.mark.parametrize("hide", [slice(40, 60), slice(45, None)], ids=["and seen again", "to the end"])

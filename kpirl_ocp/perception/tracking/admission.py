@@ -75,8 +75,7 @@ def _still(tracks: Tracks) -> Refusal | None:
         return None
     return Refusal(
         f"the keypoints hardly move: {way[farthest]:.1f} pixels at most, in frames of {tracks.size[0]} x "
-        f"{tracks.size[1]}. Film the motion itself, nearer or over a longer way, or say which object to follow "
-        "(--points, --box).",
+        f"{tracks.size[1]}. Film the motion itself, nearer or over a longer way.",
         (0, farthest),
     )
 
@@ -89,7 +88,7 @@ def _jumps(tracks: Tracks) -> Refusal | None:
     gap = np.linalg.norm(tracks.centre[worst + 1] - tracks.centre[worst])
     return Refusal(
         f"the keypoints jump at {tracks.times[worst + 1]:.2f} s, by {gap:.0f} pixels from one frame to the next: they "
-        "have gone over to something else. End before that (--end), or mark the object (--points, --box).",
+        "have gone over to something else. End before that (--end).",
         (worst, worst + 1),
     )
 
@@ -103,8 +102,8 @@ def _unsure(tracks: Tracks) -> Refusal | None:
     return Refusal(
         f"the object was not seen for sure from {tracks.times[start]:.2f} to {tracks.times[end]:.2f} s "
         f"({unsure.mean():.0%} of all frames): something hides it or looks like it, it leaves the picture, is too "
-        "blurred, or moves too far from one frame to the next. Choose a part of the film (--start, --end), mark the "
-        "object (--points, --box), or film it again.",
+        "blurred, or moves too far from one frame to the next. Choose a part of the film (--start, --end), or "
+        "film it again.",
         (max(start - 1, 0), start + longest // 2, end),
     )
 
