@@ -4,7 +4,7 @@ import re
 
 import casadi as ca
 
-from kpirl_ocp.ocp.codegen.certain_calls import with_certain_calls
+from kpirl_ocp.ocp.codegen.rewriting.certain_calls import with_certain_calls
 
 TEST = re.compile(r"if \(casadi_f\d+\(.*\)\) return 1;")
 

@@ -9,7 +9,7 @@ import pytest
 
 from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.codegen import kernels
-from kpirl_ocp.ocp.codegen.copy_elision import with_fewer_copies
+from kpirl_ocp.ocp.codegen.rewriting.copy_elision import with_fewer_copies
 from kpirl_ocp.ocp.problem.columns import scan
 
 STEPS = 3

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from kpirl_ocp.ocp.codegen.copy_elision import ENTRY, FUNCTION
+from kpirl_ocp.ocp.codegen.rewriting.copy_elision import ENTRY, FUNCTION
 
 _CALL = re.compile(r"if \((casadi_f\d+\(arg\d*, res\d*, iw, w, 0\))\) return 1;")
 

@@ -1,0 +1,1 @@
+"""Passes over generated C: fewer copies, loops and tests, the same numbers."""
