@@ -16,11 +16,13 @@ class Slopes:
     """sigma'(a) and sigma''(a), entry by entry; None stands for a slope of one, or for no curvature anywhere.
 
     kink: the numbers at whose zeros sigma' or sigma'' jumps; None where sigma is smooth.
+    value: sigma(a), where sigma''(a) follows from it and sigma'(a) as in `SECOND_OF_VALUE`.
     """
 
     first: ca.MX | None
     second: ca.MX | None
     kink: ca.MX | None = None
+    value: ca.MX | None = None
 
 
 def relu(a: ca.MX) -> tuple[ca.MX, Slopes]:
@@ -44,7 +46,7 @@ def tanh(a: ca.MX) -> tuple[ca.MX, Slopes]:
     """tanh a."""
     y = ca.tanh(a)
     slope = 1 - y * y
-    return y, Slopes(slope, -2 * y * slope)
+    return y, Slopes(slope, -2 * y * slope, value=y)
 
 
 def sigmoid(a: ca.MX) -> tuple[ca.MX, Slopes]:
@@ -95,6 +97,9 @@ ACTIVATIONS: dict[str, Activation] = {
     "softplus": softplus,
     "tanh": tanh,
 }
+
+SECOND_OF_VALUE: dict[str, Callable[[ca.MX, ca.MX], ca.MX]] = {"tanh": lambda y, slope: -2 * y * slope}
+"""(sigma(a), sigma'(a)) -> sigma''(a), for activations of which the value may be kept in place of sigma''(a)."""
 
 SCALES: dict[str, tuple[float, float]] = {
     "elu": (1.0, 1.0),

@@ -25,6 +25,8 @@ from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
 from kpirl_ocp.ocp.models.mlp import (
     MLP,
     clearance,
+    condensed,
+    expanded,
     flatten_slopes,
     has_curvature,
     jvp,
@@ -168,7 +170,7 @@ class NetworkPasses:
         z, (inputs, drive) = self._symbol("z"), self._drive_symbols(constant=True)
         y, slopes = self._mlp.linearise(z, drive)
         nearest = [ca.fmin(x, ca.fabs(a)) for x, a in zip(self._nearest, kinked(slopes), strict=True)]
-        outputs = [self._residual(z) + y, *flatten_slopes(slopes), *nearest]
+        outputs = [self._residual(z) + y, *flatten_slopes(condensed(slopes)), *nearest]
         return ca.Function("forward", [z, *inputs, *self._nearest], outputs)
 
     @cached_property
@@ -183,7 +185,7 @@ class NetworkPasses:
     def _adjoint(self) -> ca.Function:
         """lambda_z, q_z, slopes -> lambda_z before, adjoint of a_1, sigma'' times the adjoints of h_l."""
         lam, q, slopes = self._symbol("lam"), self._symbol("q"), self._slopes
-        by_z, inner, bent = vjp(self._mlp, unflatten_slopes(self._mlp, slopes), lam)
+        by_z, inner, bent = vjp(self._mlp, expanded(self._mlp, unflatten_slopes(self._mlp, slopes)), lam)
         kept = flatten_slopes(bent)[len(self._first) :]
         return self._backward("adjoint", [lam, q, *slopes], q + self._residual(lam) + by_z, inner, kept)
 

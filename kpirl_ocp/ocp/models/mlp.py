@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.models.activations import ACTIVATIONS, SCALES, Slopes
+from kpirl_ocp.ocp.models.activations import ACTIVATIONS, SCALES, SECOND_OF_VALUE, Slopes
 from kpirl_ocp.ocp.problem.columns import smallest_by_column
 from kpirl_ocp.types import Array
 
@@ -257,6 +257,19 @@ def unflatten_slopes(mlp: MLP, kept: Sequence[ca.MX]) -> list[Slopes]:
     first = [None if pattern.first is None else next(parts) for pattern in patterns]
     second = [None if pattern.second is None else next(parts, None) for pattern in patterns]
     return list(map(Slopes, first, second))
+
+
+def condensed(slopes: Sequence[Slopes]) -> list[Slopes]:
+    """The slopes with values in the place of second derivatives that follow from them; undone by `expanded`."""
+    return [slope if slope.value is None else replace(slope, second=slope.value) for slope in slopes]
+
+
+def expanded(mlp: MLP, slopes: Sequence[Slopes]) -> list[Slopes]:
+    """The slopes of what `condensed` gave."""
+    return [
+        replace(slope, second=SECOND_OF_VALUE[name](slope.second, slope.first)) if name in SECOND_OF_VALUE else slope
+        for slope, name in zip(slopes, mlp.activations, strict=True)
+    ]
 
 
 def times(factor: ca.MX | None, x: ca.MX) -> ca.MX:
