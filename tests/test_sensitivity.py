@@ -131,7 +131,7 @@ def test_gradients_beside_a_solution_are_those_at_it(name, length):
     assert 1e-8 < found.certificate.distance < 100 * length
     for part in ("psi", "s0", "context"):
         scale = np.abs(getattr(expected, part)).max(initial=0)
-        np.testing.assert_allclose(getattr(found, part), getattr(expected, part), rtol=0, atol=3e-7 * scale)
+        np.testing.assert_allclose(getattr(found, part), getattr(expected, part), rtol=0, atol=3e-8 * scale)
 
 
 @pytest.mark.parametrize("name", TABLE)

@@ -249,11 +249,12 @@ static void predict(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *nearby, sear
   kpirl_mpc_axpy(1, at->pushed, n_w, at->here);
 }
 
+/* Differences that are to correct an adjoint, where matrices are stale, round the least over the WIDE length. */
 real kpirl_mpc_kink_nearby(const kpirl_mpc_kkt *k, const kpirl_mpc_kkt *nearby, kpirl_mpc_core *core,
                            const kpirl_mpc_triple *adjoint, kpirl_mpc_triple *residual) {
   const kpirl_mpc_system *s = &k->system;
   const int n = kpirl_mpc_n_conditions(s), first = kpirl_mpc_system_n_point(s) + s->horizon * s->n_states;
-  const real length = over_length(k->step) / largest_share(s, adjoint->x);
+  const real length = (k->stale ? WIDE : over_length(k->step)) / largest_share(s, adjoint->x);
   search at;
   int i;
   if (!isfinite(length)) return (real)INFINITY;
