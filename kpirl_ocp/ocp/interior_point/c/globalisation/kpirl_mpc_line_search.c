@@ -65,14 +65,14 @@ static int corrected_fits(kpirl_mpc_core *core, kpirl_mpc_merit before, real slo
   real price;
   ++core->trials;
   kpirl_mpc_trial_point(core, length, 0, &trial);
-  price = kpirl_mpc_norm_inf(core->trial.costates, DIM(core, horizon) * DIM(core, n_states));
+  price = kpirl_mpc_price(core, core->trial.costates);
   return trial.phi + price * trial.theta <= before.phi + price * before.theta &&
          kpirl_mpc_filter_accepts(&core->filter, before, slope, length, price, trial);
 }
 
 /* The largest multiplier of a constraint that theta counts as equality. */
 static real heaviest(const kpirl_mpc_core *core) {
-  const real costate = kpirl_mpc_norm_inf(core->at.costates, DIM(core, horizon) * DIM(core, n_states));
+  const real costate = kpirl_mpc_price(core, core->at.costates);
   return core->penalty > 0 ? costate : kpirl_mpc_max(costate, kpirl_mpc_norm_inf(core->at.nu, kpirl_mpc_n_equalities(core)));
 }
 

@@ -52,6 +52,16 @@ real kpirl_mpc_norm_in_sizes(const kpirl_mpc_core *core, const real *states, int
   return sum;
 }
 
+/* What a unit of the violation of the dynamics costs at most: the largest costate, in units of its state. */
+real kpirl_mpc_price(const kpirl_mpc_core *core, const real *costates) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states);
+  real price = 0;
+  int i, t;
+  for (t = 0; t < T; ++t)
+    for (i = 0; i < n_s; ++i) price = kpirl_mpc_max(kpirl_mpc_abs(costates[t * n_s + i]) * core->sizes[i], price);
+  return price;
+}
+
 real kpirl_mpc_slack_violation(const kpirl_mpc_core *core, const real *g, const real *y) {
   const int m = kpirl_mpc_n_inequalities(core);
   real sum = 0;

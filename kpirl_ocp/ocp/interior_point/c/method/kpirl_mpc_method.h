@@ -41,6 +41,7 @@ int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core);
 void kpirl_mpc_measure(kpirl_mpc_core *core, const real *F);
 int kpirl_mpc_outgrown(const kpirl_mpc_core *core);
 real kpirl_mpc_norm_in_sizes(const kpirl_mpc_core *core, const real *states, int stages);
+real kpirl_mpc_price(const kpirl_mpc_core *core, const real *costates);
 real kpirl_mpc_slack_violation(const kpirl_mpc_core *core, const real *g, const real *y);
 real kpirl_mpc_equality_violation(const kpirl_mpc_core *core, const real *c);
 real kpirl_mpc_violation(const kpirl_mpc_core *core);
