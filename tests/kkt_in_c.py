@@ -12,7 +12,8 @@ from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
 from kpirl_ocp.ocp.sensitivity.kkt_system import KKTSystem, PrimalDual, Triple
 
 
-def _declared(name, count, result=None):
+def declared(name, count, result=None):
+    """A function of the C code that takes `count` pointers."""
     function = getattr(c.library(), f"kpirl_mpc_{name}")
     function.argtypes, function.restype = [ctypes.c_void_p] * count, result
     return function
@@ -23,9 +24,9 @@ def linearise(instance, point, active=None):
     system = KKTSystem(instance)
     system.set_point(point)
     with borrow_core(instance.problem) as core:
-        _declared("kkt_evaluate", 2)(system.address, core.address)
+        declared("kkt_evaluate", 2)(system.address, core.address)
     chosen = None if active is None else np.ascontiguousarray(active, float)
-    _declared("kkt_select", 2)(system.address, None if chosen is None else chosen.ctypes.data)
+    declared("kkt_select", 2)(system.address, None if chosen is None else chosen.ctypes.data)
     return system
 
 
@@ -56,7 +57,7 @@ def derivatives_of(system):
 def rows_along(system, x):
     """The Jacobian of all rows times x, (n_rows,)."""
     values, given = np.empty(system.sizes_of_parts[2]), np.ascontiguousarray(x, float)
-    _declared("rows_times", 3)(system.address, given.ctypes.data, values.ctypes.data)
+    declared("rows_times", 3)(system.address, given.ctypes.data, values.ctypes.data)
     return values
 
 
@@ -73,14 +74,14 @@ def pull(system, adjoint):
     structure = found.structure
     with borrow_core(problem) as core:
         function = core.function(parameter_derivatives.pull)
-        _declared("kkt_pull", 4)(system.address, function, weights.address, ctypes.addressof(structure))
+        declared("kkt_pull", 4)(system.address, function, weights.address, ctypes.addressof(structure))
     return ByParameters(*(-by for by in found))
 
 
 def defects_along(system, x):
     """F_t x_t - s_{t+1} (T n_s,)."""
     defects = np.empty(system.sizes_of_parts[1])
-    _declared("defects_times", 3)(system.address, x.ctypes.data, defects.ctypes.data)
+    declared("defects_times", 3)(system.address, x.ctypes.data, defects.ctypes.data)
     return defects
 
 
@@ -88,13 +89,13 @@ def balance(system, point):
     """(H + C' sigma C) x + A' lambda + C' mu (n_w,), given entries of s_0 included."""
     n_w, _, n_rows = system.sizes_of_parts
     forces, values, triple = np.empty(n_w), np.empty(n_rows), Triple(point)
-    _declared("system_balance", 4)(system.address, triple.address, forces.ctypes.data, values.ctypes.data)
+    declared("system_balance", 4)(system.address, triple.address, forces.ctypes.data, values.ctypes.data)
     return forces
 
 
 def newton_step(system):
     """The Newton step on the KKT conditions; the system holds its factors."""
-    _declared("kkt_step", 1)(system.address)
+    declared("kkt_step", 1)(system.address)
     return system.read(system.structure.move)
 
 
@@ -105,7 +106,7 @@ def change_nearby(system, nearby, slope, adjoint):
     """
     moving = Triple(PrimalDual(adjoint.x.copy(), adjoint.costates.copy(), adjoint.forces.copy()))
     addresses = system.address, nearby.address, slope.ctypes.data, moving.address
-    return _declared("kkt_change", 4, ctypes.c_double)(*addresses)
+    return declared("kkt_change", 4, ctypes.c_double)(*addresses)
 
 
 def kink_nearby(system, nearby, adjoint):
@@ -113,7 +114,7 @@ def kink_nearby(system, nearby, adjoint):
     given, found = Triple(_in_one_piece(adjoint)), Triple(_in_one_piece(adjoint))
     with borrow_core(system.instance.problem) as core:
         addresses = system.address, nearby.address, core.address, given.address, found.address
-        kink = _declared("kink_nearby", 5, ctypes.c_double)(*addresses)
+        kink = declared("kink_nearby", 5, ctypes.c_double)(*addresses)
     return kink, found.point
 
 

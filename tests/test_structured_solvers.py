@@ -16,7 +16,6 @@ from problems import TABLE, integrator, network, swing_up
 from kpirl_ocp import OCP, Fatrop, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.audit import audit
-from kpirl_ocp.ocp.interior_point.library import library
 from kpirl_ocp.ocp.interior_point.machine_code import machine_code
 from kpirl_ocp.ocp.problem.solver import solve_and_linearise
 from kpirl_ocp.ocp.sensitivity import sensitivity
@@ -247,7 +246,7 @@ def test_second_derivatives_are_handed_over_where_a_solve_ended_with_them(name):
     np.testing.assert_array_equal(found.actions, Riccati().solve(problem, s0, psi, context).actions)
     instance = Instance(problem, s0, psi, context)
     system, row = KKTSystem(instance), as_rows(problem, [found])
-    library().kpirl_mpc_kkt_set_solution(system.address, row.ctypes.data)
+    kkt_in_c.declared("kkt_set_solution", 2)(system.address, row.ctypes.data)
     fresh = kkt_in_c.derivatives_of(kkt_in_c.linearise(instance, system.point))
     kept = {field.name: np.copy(getattr(derivatives, field.name)) for field in fields(derivatives)}
     for field, one in kept.items():

@@ -180,23 +180,18 @@ ByParameters = _structure("ByParameters", psi=POINTER, s0=POINTER, context=POINT
 Questions = _structure("Questions", numbers=Numbers, solutions=POINTER, slopes=POINTER, barriers=POINTER)
 Answers = _structure("Answers", gradients=ByParameters, evidence=POINTER, active=POINTER, finite=POINTER)
 _OF_SYSTEMS = {
-    "rows_times": 3,
     "rows_transposed_times": 3,
     "kkt_init": 4,
-    "kkt_set_solution": 2,
     "kkt_linearise": 4,
-    "kkt_evaluate": 2,
     "kkt_renew": 2,
-    "kkt_select": 2,
     "kkt_condition": 1,
     "kkt_solve": 3,
-    "kkt_pull": 4,
     "weigh": 7,
     "certify": 8,
     "point_sizes": 4,
     "kink_in_parameters": 5,
     "kink_of_loss": 9,
-}  # functions of `c/kpirl_mpc_system.h` and `c/kpirl_mpc_kkt.h`, and how many pointers they take
+}  # functions of `c/kpirl_mpc_system.h` and `c/kpirl_mpc_kkt.h` that Python calls, and how many pointers they take
 LOG = ctypes.CFUNCTYPE(None, POINTER, ctypes.POINTER(Iteration))
 
 
