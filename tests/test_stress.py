@@ -23,6 +23,7 @@ from stress.peers.program import Program
 from stress.peers.rates import Answer, answer
 from stress.settings import PROFILES
 from stress.starts import board
+from stress.starts.systems import SYSTEMS
 from stress.statuses import confirmed
 
 from kpirl_ocp import FiniteDifference, Implicit, Ipopt, Status, Unrolled
@@ -195,9 +196,14 @@ def test_statuses_of_random_problems_are_confirmed():
         assert counts[name][confirmed.COLUMNS[0]] >= 0.9 * QUICK.statuses
 
 
+def raced(name, seeds):
+    """Runs of `Riccati` and `Ipopt` from noisy starts of a system."""
+    return board.race({name: SYSTEMS[name]().start}, seeds)[name]
+
+
 @pytest.mark.parametrize("name", ["pendulum swing-up", "LQR, bounds on states too", "unicycle, parking"])
 def test_nothing_that_ipopt_solves_from_a_noisy_start_is_lost(name):
-    found = board.summary(board.race(range(8), [name])[name])
+    found = board.summary(raced(name, range(8)))
     assert (found["starts"], found["lost"], found["won"]) == (8, 0, 0)
     assert found["mean"] < 0.9
 
@@ -218,7 +224,7 @@ def test_starts_that_were_lost_are_solved(name, seed):
     a violation; lifted steps that end far from feasible, or below rounding; a point that restoration shows to be
     infeasible, but not others.
     """
-    ((ours, theirs),) = board.race([seed], [name])[name]
+    ((ours, theirs),) = raced(name, [seed])
     assert ours.converged
     assert theirs.converged
 
@@ -226,14 +232,14 @@ def test_starts_that_were_lost_are_solved(name, seed):
 @pytest.mark.parametrize("seed", [0, 12, 24])
 def test_a_first_step_without_costates_that_leads_into_gimbal_lock_is_taken_back(seed):
     """Its Hessian is far from positive then: going on from there took twice Ipopt's iterations."""
-    ((ours, theirs),) = board.race([seed], ["quadrotor"])["quadrotor"]
+    ((ours, theirs),) = raced("quadrotor", [seed])
     assert ours.converged
     assert ours.iterations <= 1.2 * theirs.iterations
 
 
 def test_steps_that_the_filter_shortens_for_their_second_order_are_corrected():
     """Where lengths were cut to a 64th, the swing-up took 2.8 times Ipopt's iterations."""
-    ((ours, theirs),) = board.race([10], ["cart-pole swing-up"])["cart-pole swing-up"]
+    ((ours, theirs),) = raced("cart-pole swing-up", [10])
     assert ours.converged
     assert ours.iterations <= 1.2 * theirs.iterations
 

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from reference import REFERENCES
 from reference.checks import coarse, solve
-from units import in_units
+from units import drawn_units, in_units, start_in_units
 
 from kpirl_ocp import OCP, Riccati
-from kpirl_ocp.types import Trajectory
 
 PROBLEMS = {reference.name: reference for reference in REFERENCES}
 DRAWN = [
@@ -20,22 +19,11 @@ DRAWN = [
 ]
 
 
-def drawn_units(problem, seed):
-    """Between 1e-3 and 1e3 for the cost, the constraints, and every state and action on its own."""
-    rng = np.random.default_rng(seed)
-    cost, rows = (float(10 ** rng.uniform(-3, 3)) for _ in range(2))
-    state, action = (10 ** rng.uniform(-3, 3, count) for count in (problem.n_states, problem.n_actions))
-    return {"cost": cost, "rows": rows, "state": state, "action": action}
-
-
 @pytest.mark.parametrize(("name", "seed"), DRAWN)
 def test_a_classic_problem_is_solved_in_units_that_are_drawn(name, seed):
     case = coarse(PROBLEMS[name])
     problem, units = case.problem, drawn_units(case.problem, seed)
-    guess = Trajectory(
-        problem.as_states(case.guess.states) / units["state"], problem.as_actions(case.guess.actions) / units["action"]
-    )
-    s0 = problem.inputs(case.s0, case.psi, ())[0] / units["state"]
+    s0, guess = start_in_units(problem, problem.inputs(case.s0, case.psi, ())[0], case.guess, units)
     found = Riccati().solve(in_units(problem, **units), s0, case.psi, guess=guess).raise_if_failed()
     expected = solve(case, Riccati()).raise_if_failed()
     np.testing.assert_allclose(found.objective / units["cost"], expected.objective, rtol=1e-6)

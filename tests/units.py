@@ -8,6 +8,22 @@ import numpy as np
 from kpirl_ocp.types import Trajectory
 
 
+def drawn_units(problem, seed):
+    """Between 1e-3 and 1e3 for the cost, the constraints, and every state and action on its own."""
+    rng = np.random.default_rng(seed)
+    cost, rows = (float(10 ** rng.uniform(-3, 3)) for _ in range(2))
+    state, action = (10 ** rng.uniform(-3, 3, count) for count in (problem.n_states, problem.n_actions))
+    return {"cost": cost, "rows": rows, "state": state, "action": action}
+
+
+def start_in_units(problem, s0, guess, units):
+    """The initial state, completed, and a guess, if there is one, for `in_units`."""
+    if guess is not None:
+        states, actions = problem.as_states(guess.states), problem.as_actions(guess.actions)
+        guess = Trajectory(states / units["state"], actions / units["action"])
+    return s0 / units["state"], guess
+
+
 def in_units(problem, cost=1.0, state=1.0, action=1.0, rows=1.0):
     """The problem whose states are s / state and actions u / action, with cost times `cost` and constraints `rows`.
 

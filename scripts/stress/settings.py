@@ -9,7 +9,7 @@ class Profile:
 
     kills: of each program; every_program: also of those that take long.
     solves, problems: in one process. statuses: random problems.
-    starts: noisy ones of each system.
+    starts: noisy ones of each system. units: draws of each classic problem.
     """
 
     cases: int
@@ -21,6 +21,7 @@ class Profile:
     problems: int
     statuses: int
     starts: int
+    units: int
 
 
 PROFILES = {
@@ -34,6 +35,7 @@ PROFILES = {
         problems=30,
         statuses=30,
         starts=1,
+        units=1,
     ),
     "full": Profile(
         cases=10_000,
@@ -45,5 +47,6 @@ PROFILES = {
         problems=1_000,
         statuses=1_000,
         starts=20,
+        units=10,
     ),
 }

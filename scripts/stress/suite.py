@@ -19,7 +19,7 @@ from stress.kills import campaign
 from stress.lives import memory
 from stress.peers import rates
 from stress.settings import PROFILES
-from stress.starts import board
+from stress.starts import board, units
 from stress.statuses import confirmed
 
 PARTS = {
@@ -27,6 +27,7 @@ PARTS = {
     "peers": rates.measure,
     "statuses": confirmed.measure,
     "starts": board.measure,
+    "units": units.measure,
     "lives": memory.measure,
     "kills": campaign.measure,
 }

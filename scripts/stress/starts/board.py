@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from bench.part import Part, Table
@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from kpirl_ocp import Ipopt, Riccati, Status
 from stress.settings import Profile
-from stress.starts.systems import SYSTEMS
+from stress.starts.systems import SYSTEMS, Start
 
 REPORTED = 100_000  # seeds from here on are reported; those below are there to develop on
 MANY = 1.5  # times as many iterations as Ipopt
@@ -30,34 +30,45 @@ class Run(NamedTuple):
     converged: bool
 
 
+Pairs: TypeAlias = dict[str, list[tuple[Run, Run]]]
+"""Runs of `Riccati` and `Ipopt` by system."""
+
+
 def measure(profile: Profile) -> Part:
     """Ratios of iterations by system, at seeds that are reported."""
-    pairs = race(range(REPORTED, REPORTED + profile.starts))
-    numbers = {name: summary(found) for name, found in pairs.items()}
-    numbers["all"] = summary([pair for found in pairs.values() for pair in found])
-    header = ["system", "starts", "both converge", "mean ratio", f"above {MANY}", "largest", "lost", "won"]
-    keys = ["starts", "both", "mean", "many", "largest", "lost", "won"]
-    rows = [[name, *(_cell(row[key]) for key in keys)] for name, row in numbers.items()]
-    note = _NOTE.format(first=REPORTED)
-    return Part(numbers, [Table("Iterations from noisy starts, Riccati / Ipopt", header, rows, note)])
+    pairs = race({name: build().start for name, build in SYSTEMS.items()}, reported(profile.starts))
+    return part("Iterations from noisy starts, Riccati / Ipopt", "system", pairs, _NOTE.format(first=REPORTED))
 
 
-def race(seeds: Iterable[int], names: Iterable[str] = SYSTEMS) -> dict[str, list[tuple[Run, Run]]]:
-    """Runs of `Riccati` and `Ipopt` from each start of each system."""
-    systems = {name: SYSTEMS[name]() for name in names}
+def reported(count: int) -> range:
+    """The first seeds that the solver is not developed on."""
+    return range(REPORTED, REPORTED + count)
+
+
+def race(systems: Mapping[str, Callable[[int], Start]], seeds: Iterable[int]) -> Pairs:
+    """Runs of `Riccati` and `Ipopt` from each start of each system, whose starts are drawn by seed."""
     starts = [(name, seed) for name in systems for seed in seeds]
-    pairs: dict[str, list[tuple[Run, Run]]] = {name: [] for name in systems}
+    pairs: Pairs = {name: [] for name in systems}
     for name, seed in tqdm(starts, "starts", unit="start"):
-        system = systems[name]
-        s0, guess = system.start(seed)
+        given = systems[name](seed)
         runs = []
         for solver in (Riccati(), Ipopt()):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                plan = solver.solve(system.problem, s0, *system.numbers, guess=guess)
+                plan = solver.solve(*given)
             runs.append(Run(plan.iterations, plan.status is Status.CONVERGED))
         pairs[name].append((runs[0], runs[1]))
     return pairs
+
+
+def part(title: str, what: str, pairs: Pairs, note: str) -> Part:
+    """A row for each system, and one for all."""
+    numbers = {name: summary(found) for name, found in pairs.items()}
+    numbers["all"] = summary([pair for found in pairs.values() for pair in found])
+    header = [what, "starts", "both converge", "mean ratio", f"above {MANY}", "largest", "lost", "won"]
+    keys = ["starts", "both", "mean", "many", "largest", "lost", "won"]
+    rows = [[name, *(_cell(row[key]) for key in keys)] for name, row in numbers.items()]
+    return Part(numbers, [Table(title, header, rows, note)])
 
 
 def summary(pairs: list[tuple[Run, Run]]) -> Mapping[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -20,6 +21,16 @@ _REFERENCES = ("cart-pole swing-up", "quadrotor, two obstacles", "unicycle, park
 _REFERENCES += ("rocket landing in a cone", "2R arm, reaching")
 
 
+class Start(NamedTuple):
+    """What a solver is given."""
+
+    problem: OCP
+    s0: Array
+    psi: Array
+    context: Array
+    guess: Trajectory | None
+
+
 class System:
     """A problem, where it starts, a guess of its plan, and the sizes (n_s,) and (n_u,) of its states and actions."""
 
@@ -28,16 +39,17 @@ class System:
         plan = Ipopt().solve(problem, s0, psi, context, guess).raise_if_failed()
         self.sizes = [np.abs(part).max(axis=0) for part in (plan.states, plan.actions)]
 
-    def start(self, seed: int) -> tuple[Array, Trajectory | None]:
-        """s_0 and a guess of the plan, both off by noise; no guess where there is none and this seed has no noise."""
+    def start(self, seed: int) -> Start:
+        """s_0 and a guess of the plan are off by noise; no guess where there is none and this seed has no noise."""
         rng, level = np.random.default_rng(seed), LEVELS[seed % len(LEVELS)]
         s0 = self.s0 + ELSEWHERE * self.sizes[0] * rng.normal(size=len(self.s0))
         if self.guess is None and level == 0:
-            return s0, None
+            return Start(self.problem, s0, *self.numbers, None)
         horizon, m = self.problem.horizon, self.problem.n_actions
         guess = self.guess or Trajectory(np.tile(self.s0, (horizon + 1, 1)), np.zeros((horizon, m)))
         parts = zip((guess.states, guess.actions), self.sizes, strict=True)
-        return s0, Trajectory(*(part + level * size * rng.normal(size=part.shape) for part, size in parts))
+        noisy = Trajectory(*(part + level * size * rng.normal(size=part.shape) for part, size in parts))
+        return Start(self.problem, s0, *self.numbers, noisy)
 
 
 def _of_bench(build: Callable[[], ControlProblem]) -> System:
