@@ -15,15 +15,17 @@ static const real SMALL = (real)1e-3;      /* violation that counts as little */
 static const real KEPT = (real)1e-4;       /* share of its start above which tau stays until violation and gradient fall */
 static const real STATIONARY = (real)0.1; /* share of its largest that the gradient has near a saddle */
 static const real WORTHWHILE = (real)0.05; /* shortest step off a saddle of a barrier problem */
+static const real RISE = 10;             /* of the objective along the dynamics, in units of what the violation costs that is gone */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
 
-/* Derivative of J - tau sum log y along the step. */
+/* Derivative of J - tau sum log y along the step; where a slack grows by more than itself, its logarithm does not follow the derivative,
+ * and counts as if it doubled. */
 real kpirl_mpc_slope(const kpirl_mpc_core *core) {
   const kpirl_mpc_iterate *change = &core->step.change;
   const int m = kpirl_mpc_n_inequalities(core);
   real barrier = 0;
   int i;
-  for (i = 0; i < m; ++i) barrier += change->y[i] / core->at.y[i];
+  for (i = 0; i < m; ++i) barrier += kpirl_mpc_min(change->y[i] / core->at.y[i], 1);
   return kpirl_mpc_dot(core->d.cost_gradient, change->x, kpirl_mpc_n_point(core)) - core->step.tau * barrier +
          (core->penalty > 0 ? core->step.penalty_slope : 0);
 }
@@ -59,14 +61,12 @@ static int contradictory(const kpirl_mpc_core *core) {
 }
 
 /* The lifted trial violates the constraints more, to second order. One along the dynamics leaves (1 - length) of their defects, as the
- * linearised step would. The objective may rise for that, by what the violation that is gone costs at the largest costate. */
-static int corrected_fits(kpirl_mpc_core *core, kpirl_mpc_merit before, real slope, real length) {
+ * linearised step would. */
+static int corrected_fits(kpirl_mpc_core *core, kpirl_mpc_merit before, real slope, real length, real price) {
   kpirl_mpc_merit trial;
-  real price;
   ++core->trials;
   kpirl_mpc_trial_point(core, length, 0, &trial);
-  price = kpirl_mpc_price(core, core->trial.costates);
-  return trial.phi + price * trial.theta <= before.phi + price * before.theta &&
+  return trial.phi + price * trial.theta <= before.phi + RISE * price * before.theta &&
          kpirl_mpc_filter_accepts(&core->filter, before, slope, length, price, trial);
 }
 
@@ -98,7 +98,7 @@ static int move_along(kpirl_mpc_core *core, real least) {
     kpirl_mpc_trial_point(core, length, core->lifted, &trial);
     if ((tiny && isfinite(trial.phi)) || kpirl_mpc_filter_accepts(&core->filter, before, slope, length, price, trial) ||
         (isfinite(trial.phi) && trial.theta >= before.theta && kpirl_mpc_off_dynamics(core) &&
-         corrected_fits(core, before, slope, length))) {
+         corrected_fits(core, before, slope, length, price))) {
       core->step.primal_length = length;
       kpirl_mpc_accept_trial(core, KPIRL_MPC_SECOND);
       return 1;
@@ -108,14 +108,19 @@ static int move_along(kpirl_mpc_core *core, real least) {
   return 0;
 }
 
+/* Another barrier function has another filter; without inequalities there is none. */
+static void set_tau(kpirl_mpc_core *core, real tau) {
+  const int changed = tau != core->tau;
+  core->tau = tau;
+  if (changed && kpirl_mpc_n_inequalities(core) > 0) kpirl_mpc_start_filter(core);
+}
+
 /* tau for Newton steps where the Hessian is not positive: back to where it was when that began, or would start here. A tau that
  * a predictor chose on the way leaves no room to turn. */
 static void hold_tau(kpirl_mpc_core *core) {
-  const real before = core->tau;
   if (!core->held) core->indefinite_tau = kpirl_mpc_max(kpirl_mpc_start_tau(core), core->indefinite_tau);
   core->held = 1;
-  core->tau = kpirl_mpc_max(core->tau, core->indefinite_tau);
-  if (core->tau != before) kpirl_mpc_start_filter(core);
+  set_tau(core, kpirl_mpc_max(core->tau, core->indefinite_tau));
 }
 
 /* Where the barrier problem is solved though its Hessian is not positive: off this point, once for each tau, if the gradient is
@@ -127,8 +132,8 @@ static int leave_saddle(kpirl_mpc_core *core, real least) {
     core->escaped_tau = tau;
     return 1;
   }
-  core->indefinite_tau = core->tau = kpirl_mpc_max(least, lower);
-  if (core->tau != tau) kpirl_mpc_start_filter(core);
+  core->indefinite_tau = kpirl_mpc_max(least, lower);
+  set_tau(core, core->indefinite_tau);
   return 0;
 }
 
@@ -174,10 +179,7 @@ int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least) {
   }
   core->no_costates = 0;
   if (core->step.positive) {
-    if (core->step.tau != core->tau) {
-      core->tau = core->step.tau;
-      kpirl_mpc_start_filter(core);
-    }
+    set_tau(core, core->step.tau);
     return move_along(core, USEFUL) || kpirl_mpc_newton_iterate(core, 0);
   }
   hold_tau(core);

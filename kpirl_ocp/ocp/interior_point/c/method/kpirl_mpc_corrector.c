@@ -6,6 +6,7 @@
  */
 #include "kpirl_mpc_method.h"
 
+static const real GROWTH = (real)1e3;    /* of tau beyond the mean of y z: a step that multiplies them by more has no meaning */
 static const real CORRECTED = (real)0.5; /* length of a step from which its second order is believed */
 /* Gondzio's: how many correctors; how much longer a step each aims at; the least that it has to gain; products y z between
  * NEAR tau and FAR tau count as central. */
@@ -51,7 +52,7 @@ static void aim_at_second_order(kpirl_mpc_core *core, const kpirl_mpc_iterate *s
 }
 
 /* A first step towards tau = least shows how small mu can become while y and z stay positive; then tau = mu (mu_first / mu)^3 or
- * `least`, more than before where products have grown; a tau that the problem is solved for stays. And
+ * `least`, more than before where products would grow; a tau that the problem is solved for stays. And
  * y dz + z dy + dy_first dz_first = tau - y z with the same factors. The correction supposes that most of the first step can be
  * taken, and is left out where the latter is not so. */
 static void predict(kpirl_mpc_core *core, real least) {
@@ -65,7 +66,7 @@ static void predict(kpirl_mpc_core *core, real least) {
   length = to_the_boundary(core, first);
   mu = products_after(core, first, none).mean;
   share = products_after(core, first, length).mean / mu;
-  core->step.tau = core->options.barrier > 0 ? least : kpirl_mpc_max(least, mu * share * share * share);
+  core->step.tau = core->options.barrier > 0 ? least : kpirl_mpc_max(least, mu * kpirl_mpc_min(share * share * share, GROWTH));
   for (i = 0; i < m; ++i) core->target[i] = core->step.tau;
   if (kpirl_mpc_min(length.primal, length.dual) > CORRECTED) aim_at_second_order(core, first);
 }
