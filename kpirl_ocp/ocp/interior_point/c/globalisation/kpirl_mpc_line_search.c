@@ -16,6 +16,7 @@ static const real KEPT = (real)1e-4;       /* share of its start above which tau
 static const real STATIONARY = (real)0.1; /* share of its largest that the gradient has near a saddle */
 static const real WORTHWHILE = (real)0.05; /* shortest step off a saddle of a barrier problem */
 static const real RISE = 10;             /* of the objective along the dynamics, in units of what the violation costs that is gone */
+static const real SLOWER = (real)0.2;     /* by which tau falls at least from one barrier problem to the next */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
 
 /* Derivative of J - tau sum log y along the step; where a slack grows by more than itself, its logarithm does not follow the derivative,
@@ -116,9 +117,10 @@ static void set_tau(kpirl_mpc_core *core, real tau) {
 }
 
 /* tau for Newton steps where the Hessian is not positive: back to where it was when that began, or would start here. A tau that
- * a predictor chose on the way leaves no room to turn. */
+ * a predictor chose on the way leaves no room to turn. Less far back each time: else the method could take turns for ever. */
 static void hold_tau(kpirl_mpc_core *core) {
   if (!core->held) core->indefinite_tau = kpirl_mpc_max(kpirl_mpc_start_tau(core), core->indefinite_tau);
+  else if (core->tau < core->indefinite_tau) core->indefinite_tau = kpirl_mpc_max(core->tau, SLOWER * core->indefinite_tau);
   core->held = 1;
   set_tau(core, kpirl_mpc_max(core->tau, core->indefinite_tau));
 }
@@ -126,7 +128,7 @@ static void hold_tau(kpirl_mpc_core *core) {
 /* Where the barrier problem is solved though its Hessian is not positive: off this point, once for each tau, if the gradient is
  * small, too; else to the next tau (Waechter and Biegler, 2006, section 2.1). Returns whether it moved. */
 static int leave_saddle(kpirl_mpc_core *core, real least) {
-  const real tau = core->tau, lower = kpirl_mpc_min((real)0.2 * tau, kpirl_mpc_pow(tau, (real)1.5));
+  const real tau = core->tau, lower = kpirl_mpc_min(SLOWER * tau, kpirl_mpc_pow(tau, (real)1.5));
   const real gradient = kpirl_mpc_norm_inf(core->d.gradient, kpirl_mpc_n_point(core));
   if (tau < core->escaped_tau && gradient <= STATIONARY * core->most_gradient && kpirl_mpc_escape(core, WORTHWHILE) > 0) {
     core->escaped_tau = tau;
