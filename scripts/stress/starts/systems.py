@@ -22,7 +22,7 @@ _REFERENCES += ("rocket landing in a cone", "2R arm, reaching")
 
 
 class Start(NamedTuple):
-    """What a solver is given."""
+    """Arguments of a solve."""
 
     problem: OCP
     s0: Array
