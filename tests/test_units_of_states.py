@@ -14,6 +14,7 @@ DRAWN = [
     ("double integrator, minimum time", 7),
     ("Goddard rocket", 1),
     ("glider", 6),
+    ("glider", 8),
     ("rocket landing in a cone", 1),
     ("rocket landing in a cone", 4),
 ]

@@ -44,7 +44,7 @@ def count(problems: int) -> tuple[dict[str, Counter], list[tuple[str, int]]]:
     counts: dict[str, Counter] = defaultdict(Counter)
     wrong = []
     for seed in tqdm(range(problems), "statuses", unit="problem"):
-        problem, numbers = _draw(seed)
+        problem, numbers = random_problem(seed)
         whole = Whole(problem, *numbers)
         feasible = _once(lambda whole=whole: whole.least_violation() < 1e-6)
         for name, solver in SOLVERS.items():
@@ -57,7 +57,7 @@ def count(problems: int) -> tuple[dict[str, Counter], list[tuple[str, int]]]:
     return counts, wrong
 
 
-def _draw(seed: int):
+def random_problem(seed: int):
     """Statements with any features; every other time nonlinear dynamics, with constraints that may not be met."""
     if seed % 2 == 0:
         return Drawing(seed).problem()
