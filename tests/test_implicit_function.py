@@ -16,7 +16,7 @@ from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
-from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, at_solution
+from kpirl_ocp.ocp.sensitivity.kkt_system import PrimalDual, Triple, at_solution
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import sensitivity
 
 CASES = TABLE | {
@@ -76,6 +76,22 @@ def test_changes_of_the_trajectory_equal_those_of_the_dense_kkt_matrix(name, bar
     np.testing.assert_allclose(changes, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
     np.testing.assert_array_equal(found.x[: len(s0)], parts.s0)
     assert residual < 1e-10
+
+
+@pytest.mark.parametrize("name", ["lqr", "pendulum", "iiwa", "swing-up", "swing-up, 45 steps"])
+def test_one_substitution_solves_to_rounding_where_no_rows_but_bounds_of_decisions_are_active(name):
+    (problem, *_), _, function, _ = solved(name)
+    system, rng = function.system, np.random.default_rng(6)
+    r, d, values = (rng.normal(size=size) for size in system.sizes_of_parts)
+    right, start = PrimalDual(r, d, np.where(system.active, values, 0.0)), rng.normal(size=problem.n_states)
+    once, given = Triple(PrimalDual(*map(np.empty_like, (r, d, values)))), Triple(right, start)
+    assert kkt_in_c.declared("system_other_rows", 1, ctypes.c_int)(system.address) == 0
+    kkt_in_c.declared("system_solve_once", 3)(system.address, given.address, once.address)
+    refined, residual = function.factors.solve(right, start)
+    assert residual < 1e-14
+    for part in ("x", "costates", "forces"):
+        found, expected = getattr(once.point, part), getattr(refined, part)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max(initial=0))
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -143,9 +143,8 @@ real kpirl_mpc_kink_along_plan(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, con
   int i;
   work = kpirl_mpc_place_triple(&k->system, work + kpirl_mpc_n_conditions(&k->system), &of_tangent);
   work = kpirl_mpc_place_triple(&k->system, work, &tangent);
-  memset(tangent.x, 0, (size_t)kpirl_mpc_system_n_triple(&k->system) * sizeof(real));
   tangent_right(&k->system, left, right, &of_tangent);
-  kpirl_mpc_kkt_refine(&with, &of_tangent, TANGENT, TANGENT, &tangent);
+  kpirl_mpc_kkt_solve_directly(&with, &of_tangent, TANGENT, &tangent);
   memcpy(k->tangent, tangent.x, (size_t)kpirl_mpc_system_n_point(&k->system) * sizeof(real));
   for (i = 0; i < 2; ++i) {
     const real far = slope_left(k, core, weights, moves, &tangent, here, steps[i], values, work);

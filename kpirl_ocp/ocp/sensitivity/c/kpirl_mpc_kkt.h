@@ -142,6 +142,9 @@ void kpirl_mpc_kkt_condition(kpirl_mpc_kkt *kkt);
  * close by are renewed where they leave more than what is `needed`. */
 real kpirl_mpc_kkt_refine(kpirl_mpc_kkt *kkt, const kpirl_mpc_triple *right, real enough, real needed, kpirl_mpc_triple *point);
 
+/* Solve to what is `needed`: by one substitution where that is exact to rounding, else by refinement. */
+void kpirl_mpc_kkt_solve_directly(kpirl_mpc_kkt *kkt, const kpirl_mpc_triple *right, real needed, kpirl_mpc_triple *point);
+
 /* The Newton step on the conditions with this active set, kkt->move, and its length in the decisions, relative to their sizes,
  * kkt->step; unless they are known. */
 void kpirl_mpc_kkt_step(kpirl_mpc_kkt *kkt);

@@ -105,14 +105,15 @@ void kpirl_mpc_row_sizes(const kpirl_mpc_system *s, real *row_sizes) { measure(s
 
 void kpirl_mpc_force_shares(const kpirl_mpc_system *s, const real *costates, const real *curvature, real *shares) {
   const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions, n_w = kpirl_mpc_system_n_point(s);
-  real *balanced = s->scratch, most = 0;
+  real *balanced = s->scratch, *pulls = balanced + n_w, *absolute_F = pulls + n_s, most = 0;
   int t, i;
   for (i = 0; i < n_w; ++i) balanced[i] = curvature[i] * s->sizes[i];
-  for (t = 0; t < T; ++t)
-    for (i = 0; i < n_x; ++i)
-      balanced[t * n_x + i] += kpirl_mpc_absolute_dot(s->F + (size_t)t * n_s * n_x + i * n_s, costates + t * n_s, n_s);
-  for (t = 0; t < T; ++t)
-    for (i = 0; i < n_s; ++i) balanced[(t + 1) * n_x + i] += kpirl_mpc_abs(costates[t * n_s + i]);
+  for (t = 0; t < T; ++t) {
+    absolute_rows(costates + t * n_s, n_s, 1, n_s, pulls);
+    absolute_rows(s->F + (size_t)t * n_s * n_x, n_s, n_x, n_s, absolute_F);
+    kpirl_mpc_transposed_times_vector(absolute_F, n_s, n_x, pulls, balanced + t * n_x);
+    kpirl_mpc_axpy(1, pulls, n_s, balanced + (t + 1) * n_x);
+  }
   for (i = 0; i < n_w; ++i) most = kpirl_mpc_max(most, balanced[i] * s->sizes[i]);
   for (i = 0; i < n_w; ++i) balanced[i] = 1 / kpirl_mpc_max(balanced[i], LEAST_FORCE * most / s->sizes[i]);
   measure(s, balanced, 1, shares);

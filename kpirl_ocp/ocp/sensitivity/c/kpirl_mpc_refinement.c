@@ -106,11 +106,13 @@ static real row_norm(const kpirl_mpc_system *s, const real *values) {
   return kpirl_mpc_norm_2(v, kpirl_mpc_system_n_rows(s));
 }
 
-/* The least that an x without rows can be: |reduced r| over the largest |eigenvalue| of the reduced Hessian. */
+/* The least that an x without rows can be: |reduced r| over the largest |eigenvalue| of the reduced Hessian. Zero where there are
+ * no rows, and no x is shorter. */
 static real least_norm(const kpirl_mpc_system *s, const real *r) {
   const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
   real *m = s->scratch, sum = 0;
   int t, i;
+  if (!(s->scale > 0)) return 0;
   memcpy(m, r, (size_t)kpirl_mpc_system_n_point(s) * sizeof(real));
   for (t = T - 1; t >= 0; --t)
     kpirl_mpc_transposed_times_vector(s->F + (size_t)t * n_s * n_x, n_s, n_x, m + (t + 1) * n_x, m + t * n_x);
@@ -118,7 +120,7 @@ static real least_norm(const kpirl_mpc_system *s, const real *r) {
     const real v = m[s->decisions[i]] / s->roots[i];
     sum += v * v;
   }
-  return kpirl_mpc_sqrt(sum) / (s->scale > 0 ? s->scale : 1);
+  return kpirl_mpc_sqrt(sum) / s->scale;
 }
 
 /* The largest of the three residuals, relative; NaN if one is. */
@@ -151,6 +153,26 @@ static int stand_at_bounds(const kpirl_mpc_system *s, const kpirl_mpc_triple *ri
 
 /* ---- solutions ---------------------------------------------------------------------------------------------- */
 
+/* The solution by one substitution. residual: a triple. */
+static void solve_once(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, kpirl_mpc_triple *at, kpirl_mpc_triple *residual,
+                       real *work) {
+  if (stand_at_bounds(s, right, at)) {
+    residual_of(s, right, at, residual);
+  } else {
+    kpirl_mpc_copy_triple(s, right, residual); /* of a point that is zero */
+    only_equations(s, right->start, at->x, residual);
+  }
+  correct(s, residual, at, work);
+}
+
+void kpirl_mpc_system_solve_once(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, kpirl_mpc_triple *point) {
+  kpirl_mpc_triple at, residual;
+  real *work = kpirl_mpc_place_triple(s, s->scratch + kpirl_mpc_system_inner_scratch(s), &at);
+  work = kpirl_mpc_place_triple(s, work, &residual);
+  solve_once(s, right, &at, &residual, work);
+  kpirl_mpc_copy_triple(s, &at, point);
+}
+
 real kpirl_mpc_system_solve(const kpirl_mpc_system *s, const kpirl_mpc_triple *right, real enough, int most,
                             kpirl_mpc_triple *point) {
   const real least = least_norm(s, right->x);
@@ -159,13 +181,7 @@ real kpirl_mpc_system_solve(const kpirl_mpc_system *s, const kpirl_mpc_triple *r
   int k;
   work = kpirl_mpc_place_triple(s, work, &at);
   work = kpirl_mpc_place_triple(s, work, &residual);
-  if (stand_at_bounds(s, right, &at)) {
-    residual_of(s, right, &at, &residual);
-  } else {
-    kpirl_mpc_copy_triple(s, right, &residual); /* of a point that is zero */
-    only_equations(s, right->start, at.x, &residual);
-  }
-  correct(s, &residual, &at, work);
+  solve_once(s, right, &at, &residual, work);
   for (k = 1; k <= most; ++k) {
     real error;
     int stalled;
@@ -207,7 +223,7 @@ real kpirl_mpc_system_change(const kpirl_mpc_system *s, const kpirl_mpc_system *
 }
 
 /* x (n_w) of the solution for a right-hand side, which is overwritten, by one substitution. */
-static const real *solve_once(const kpirl_mpc_system *s, kpirl_mpc_triple *right) {
+static const real *decisions_once(const kpirl_mpc_system *s, kpirl_mpc_triple *right) {
   const int n_w = kpirl_mpc_system_n_point(s);
   real *x = s->scratch + kpirl_mpc_system_inner_scratch(s), *zero = x + n_w;
   memset(zero, 0, (size_t)n_w * sizeof(real));
@@ -217,7 +233,7 @@ static const real *solve_once(const kpirl_mpc_system *s, kpirl_mpc_triple *right
 }
 
 real kpirl_mpc_system_first_change(const kpirl_mpc_system *s, kpirl_mpc_triple *residual, const kpirl_mpc_triple *point) {
-  return kpirl_mpc_decision_norm(s, solve_once(s, residual)) / kpirl_mpc_decision_norm(s, point->x);
+  return kpirl_mpc_decision_norm(s, decisions_once(s, residual)) / kpirl_mpc_decision_norm(s, point->x);
 }
 
 real kpirl_mpc_system_follow(const kpirl_mpc_system *s, kpirl_mpc_triple *residual, kpirl_mpc_triple *point) {
@@ -229,5 +245,5 @@ real kpirl_mpc_system_follow(const kpirl_mpc_system *s, kpirl_mpc_triple *residu
 }
 
 real kpirl_mpc_system_reach(const kpirl_mpc_system *s, kpirl_mpc_triple *right) {
-  return kpirl_mpc_point_norm(s, solve_once(s, right));
+  return kpirl_mpc_point_norm(s, decisions_once(s, right));
 }

@@ -96,6 +96,14 @@ static real stiffness_of(const kpirl_mpc_system *s, int row) {
   return (s->scale > 0 ? s->scale : 1) / (delta * length * length);
 }
 
+/* Is there an active or a smoothed one? */
+static int has_rows(const kpirl_mpc_system *s) {
+  int i;
+  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i)
+    if (s->active[i] != 0 || s->sigma[i] != 0) return 1;
+  return 0;
+}
+
 int kpirl_mpc_system_factor(kpirl_mpc_system *s, const real *start) {
   const int m = kpirl_mpc_system_n_rows(s), n = s->n_decisions;
   real *vector = vectors_of(s), *weights = vector, error;
@@ -103,7 +111,7 @@ int kpirl_mpc_system_factor(kpirl_mpc_system *s, const real *start) {
   int i;
   memcpy(vector, start, (size_t)n * sizeof(real));
   s->scale = 0;
-  if (n > 0)
+  if (n > 0 && has_rows(s))
     s->scale = kpirl_mpc_abs(kpirl_mpc_lanczos(reduced_hessian, s, n, 2, KPIRL_MPC_LARGEST, vector, vector + n, &error));
   for (i = 0; i < m; ++i) {
     s->stiffness[i] = s->active[i] != 0 ? stiffness_of(s, i) : 0;

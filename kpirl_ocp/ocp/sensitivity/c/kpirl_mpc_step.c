@@ -80,6 +80,15 @@ real kpirl_mpc_kkt_refine(kpirl_mpc_kkt *k, const kpirl_mpc_triple *right, real 
   return kpirl_mpc_system_solve(&k->system, right, enough, REFINEMENTS, point);
 }
 
+/* Factors of the system itself leave an error where a row is relaxed or smoothed, else only rounding. */
+void kpirl_mpc_kkt_solve_directly(kpirl_mpc_kkt *k, const kpirl_mpc_triple *right, real needed, kpirl_mpc_triple *point) {
+  kpirl_mpc_kkt_factor(k);
+  if (k->borrowed || k->barrier > 0 || kpirl_mpc_system_other_rows(&k->system) > 0)
+    kpirl_mpc_kkt_refine(k, right, needed, needed, point);
+  else
+    kpirl_mpc_system_solve_once(&k->system, right, point);
+}
+
 /* ---- the Newton step ---------------------------------------------------------------------------------------------- */
 
 /* From x, the costates and the forces that push. */
@@ -107,7 +116,7 @@ void kpirl_mpc_kkt_step(kpirl_mpc_kkt *k) {
   if (k->stepped) return;
   kpirl_mpc_place_triple(&k->system, k->work, &right);
   newton_right(k, &right);
-  kpirl_mpc_kkt_refine(k, &right, ROUGHLY, ROUGHLY, &k->move);
+  kpirl_mpc_kkt_solve_directly(k, &right, ROUGHLY, &k->move);
   k->step = kpirl_mpc_decision_norm(&k->system, k->move.x) / size_of_decisions(&k->system);
   k->stepped = 1;
 }

@@ -40,7 +40,7 @@ typedef struct kpirl_mpc_system {
   real *stiffness;      /* (m) S, zero where not active */
   kpirl_mpc_factors factors;
   real *scratch; /* kpirl_mpc_system_scratch numbers */
-  real scale;    /* the largest |eigenvalue| of the reduced Hessian, its first digits */
+  real scale;    /* the largest |eigenvalue| of the reduced Hessian, its first digits; zero where there are no rows to compare with */
 } kpirl_mpc_system;
 
 /* x (n_w), costates (T n_s), forces (m); or a right-hand side r, d, c, with the given entries of s_0 in `start` (n_s). */
@@ -92,6 +92,9 @@ int kpirl_mpc_system_factor(kpirl_mpc_system *system, const real *start);
  * or meets the rounding; returns it. */
 real kpirl_mpc_system_solve(const kpirl_mpc_system *system, const kpirl_mpc_triple *right, real enough, int most,
                             kpirl_mpc_triple *point);
+
+/* The same by one substitution: exact to rounding where all active rows are bounds of decisions. */
+void kpirl_mpc_system_solve_once(const kpirl_mpc_system *system, const kpirl_mpc_triple *right, kpirl_mpc_triple *point);
 
 /* The relative change of the x that solves (r, 0, 0) when the system becomes `nearby`; infinite if these factors do not
  * find it. point holds the solution here, and becomes the one nearby. */

@@ -218,9 +218,21 @@ void kpirl_mpc_transpose(const real *restrict a, int rows, int columns, real *re
 }
 
 void kpirl_mpc_mirror(real *a, int n) {
-  int i, j;
-  for (i = 1; i < n; ++i)
-    for (j = 0; j < i; ++j) a[j + i * n] = a[i + j * n];
+  int i, j = 0, k;
+  for (; j + 4 <= n; j += 4) {
+    const real *b = a + j * n;
+    for (k = 1; k < 4; ++k)
+      for (i = 0; i < k; ++i) a[j + i + (j + k) * n] = b[j + k + i * n];
+    for (i = j + 4; i < n; ++i) {
+      real *to = a + j + i * n;
+      to[0] = b[i];
+      to[1] = b[i + n];
+      to[2] = b[i + 2 * n];
+      to[3] = b[i + 3 * n];
+    }
+  }
+  for (i = j + 1; i < n; ++i)
+    for (k = j; k < i; ++k) a[k + i * n] = a[i + k * n];
 }
 
 void kpirl_mpc_add_rows(const real *columns, int n, int rows, const real *weights, real *M) {
