@@ -25,5 +25,5 @@ problem = OCP.from_expressions(
     action_bounds=(0, 1),
     horizon=2 * n,
 )
-solution = Riccati().solve(problem, [0, 0]).raise_if_failed()
+solution = Riccati().solve(problem, [0, 0, 1, 1]).raise_if_failed()  # durations begin at 1 s
 print(f"durations {problem.static_of(solution).round(6)}, top speed {solution.states[n, 1]:.6f}")

@@ -244,7 +244,7 @@ def test_steps_that_the_filter_shortens_for_their_second_order_are_corrected():
     assert ours.iterations <= 1.2 * theirs.iterations
 
 
-@pytest.mark.parametrize("case", [254, 426, 962])
+@pytest.mark.parametrize("case", [254, 962])
 def test_one_step_that_leads_nowhere_leaves_tau_within_reach(case):
     """Slacks times multipliers would grow a millionfold; with tau in proportion it took up to four times as long."""
     problem, numbers = confirmed.random_problem(case)

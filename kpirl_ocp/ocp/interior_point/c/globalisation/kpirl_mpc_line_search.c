@@ -9,7 +9,7 @@
 static const real SHORTEST = (real)1e-10; /* step length below which a line search gives up */
 static const real TINY = (real)1e-12;     /* relative Newton step below which rounding decides, so that it is taken as it is */
 static const real LEFT = (real)0.5;        /* share of equalities that a step leaves where they contradict each other */
-static const real USEFUL = (real)0.01;     /* fraction of a corrected step below which plain Newton steps do better */
+static const real USEFUL = (real)0.01;     /* fraction of a step below which the next does better: Newton's, then a regularised one */
 static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
 static const real SMALL = (real)1e-3;      /* violation that counts as little */
 static const real KEPT = (real)1e-4;       /* share of its start above which tau stays until violation and gradient fall */
@@ -19,16 +19,25 @@ static const real RISE = 10;             /* of the objective along the dynamics,
 static const real SLOWER = (real)0.2;     /* by which tau falls at least from one barrier problem to the next */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
 
-/* Derivative of J - tau sum log y along the step; where a slack grows by more than itself, its logarithm does not follow the derivative,
- * and counts as if it doubled. */
+/* Derivative of J - tau sum log y along the step. */
 real kpirl_mpc_slope(const kpirl_mpc_core *core) {
   const kpirl_mpc_iterate *change = &core->step.change;
   const int m = kpirl_mpc_n_inequalities(core);
   real barrier = 0;
   int i;
-  for (i = 0; i < m; ++i) barrier += kpirl_mpc_min(change->y[i] / core->at.y[i], 1);
+  for (i = 0; i < m; ++i) barrier += change->y[i] / core->at.y[i];
   return kpirl_mpc_dot(core->d.cost_gradient, change->x, kpirl_mpc_n_point(core)) - core->step.tau * barrier +
          (core->penalty > 0 ? core->step.penalty_slope : 0);
+}
+
+/* The decrease that a step promises: the derivative, but where a slack grows by more than itself, which its logarithm does not follow, it
+ * counts as if it doubled. */
+static real promised(const kpirl_mpc_core *core) {
+  const int m = kpirl_mpc_n_inequalities(core);
+  real beyond = 0;
+  int i;
+  for (i = 0; i < m; ++i) beyond += kpirl_mpc_max(core->step.change.y[i] / core->at.y[i] - 1, 0);
+  return kpirl_mpc_slope(core) + core->step.tau * beyond;
 }
 
 static void swap(kpirl_mpc_iterate *a, kpirl_mpc_iterate *b) {
@@ -85,7 +94,7 @@ static int move_along(kpirl_mpc_core *core, real least) {
   const real largest = kpirl_mpc_norm_inf(step->change.x, n_w);
   const real size = 1 + kpirl_mpc_norm_inf(core->at.x, n_w);
   const int tiny = step->regularisation == 0 && largest <= TINY * size && !contradictory(core);
-  const real slope = kpirl_mpc_slope(core);
+  const real slope = promised(core);
   const real rounding = !tiny && core->d.violation > core->filter.small ? ROUNDING * size / largest : 0;
   const real shortest = kpirl_mpc_max(kpirl_mpc_max(SHORTEST, rounding), least * step->primal_length);
   real length = step->primal_length;
@@ -155,14 +164,14 @@ static real kept_tau(kpirl_mpc_core *core, real least) {
   return kpirl_mpc_max(least, kpirl_mpc_min(KEPT * core->start_tau * left, core->tau));
 }
 
-/* Move along a Newton step, regularised until the filter accepts it, from the first where the Hessian is known to be `indefinite`.
- * Returns whether it moved. */
+/* Move along a Newton step, regularised until the filter accepts a useful length of it, or any in the end; from the first where the Hessian
+ * is known to be `indefinite`. Returns whether it moved. */
 int kpirl_mpc_newton_iterate(kpirl_mpc_core *core, int indefinite) {
   real rho = 0;
   int attempt;
   for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
     if (!kpirl_mpc_find_positive_step(core, rho, indefinite && attempt == 0)) return 0;
-    if (move_along(core, 0)) return 1;
+    if (move_along(core, attempt < ATTEMPTS - 1 ? USEFUL : 0)) return 1;
     rho = kpirl_mpc_stronger(core);
   }
   return 0;
