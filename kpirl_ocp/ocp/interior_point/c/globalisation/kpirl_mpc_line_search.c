@@ -9,7 +9,8 @@
 static const real SHORTEST = (real)1e-10; /* step length below which a line search gives up */
 static const real TINY = (real)1e-12;     /* relative Newton step below which rounding decides, so that it is taken as it is */
 static const real LEFT = (real)0.5;        /* share of equalities that a step leaves where they contradict each other */
-static const real USEFUL = (real)0.01;     /* fraction of a step below which the next does better: Newton's, then a regularised one */
+static const real USEFUL = (real)0.01;     /* fraction of a corrected step below which plain Newton steps do better */
+static const real CREEPING = (real)1e-4;  /* fraction of a Newton step below which a regularised one does better */
 static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
 static const real SMALL = (real)1e-3;      /* violation that counts as little */
 static const real KEPT = (real)1e-4;       /* share of its start above which tau stays until violation and gradient fall */
@@ -171,7 +172,7 @@ int kpirl_mpc_newton_iterate(kpirl_mpc_core *core, int indefinite) {
   int attempt;
   for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
     if (!kpirl_mpc_find_positive_step(core, rho, indefinite && attempt == 0)) return 0;
-    if (move_along(core, attempt < ATTEMPTS - 1 ? USEFUL : 0)) return 1;
+    if (move_along(core, attempt < ATTEMPTS - 1 ? CREEPING : 0)) return 1;
     rho = kpirl_mpc_stronger(core);
   }
   return 0;
