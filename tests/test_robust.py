@@ -99,16 +99,32 @@ def test_texture_keeps_the_walls_colours_on_average():
 # Targets
 
 
-def test_a_keypoint_that_is_hidden_moves_along_the_line_to_where_the_object_is_seen():
-    bottles = np.zeros((6, 40, 40), bool)
-    bottles[:, 5:20, 18:22] = True  # below it something hides the rest
-    seen, hidden = np.array([20.0, 12.0]), np.array([20.0, 22.0])
-    keypoints = np.tile(np.array([seen, hidden]), (6, 1, 1))
+def turned(points, angle, centre=20.0):
+    """Points (..., 2) by an angle [rad] around the middle of a 40 x 40 image."""
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return (np.asarray(points) - centre) @ turn.T + centre
+
+
+def upright_and_lying(angles=(0, np.pi / 2, np.pi, -np.pi / 2)):
+    """A 4 x 15 pixel object that something hides below, with a keypoint beside its axis, in frames that are turned."""
+    bottle = np.zeros((40, 40), bool)
+    bottle[5:20, 18:22] = True
+    seen, hidden = [20.0, 12.0], [24.0, 24.0]
+    turns = [np.rot90(bottle, -k) for k in range(4)]
+    return np.array([turned([seen, hidden], angle) for angle in angles]), np.array(turns)
+
+
+def test_a_hidden_keypoint_moves_with_the_object_to_where_it_is_seen():
+    """No place on the line through both keypoints is farther than 4 pixels from the other and on the object."""
+    keypoints, bottles = upright_and_lying()
     moved = in_sight(keypoints, bottles)
     np.testing.assert_array_equal(moved[:, 0], keypoints[:, 0])
-    assert moved[0, 1, 0] == pytest.approx(20.0)
-    assert 5 <= moved[0, 1, 1] < 20
-    assert abs(moved[0, 1, 1] - 12) >= 2.9  # not onto the other
+    for place, angle in zip(moved[:, 1], (0, np.pi / 2, np.pi, -np.pi / 2), strict=True):
+        np.testing.assert_allclose(place, turned(moved[0, 1], angle), rtol=0, atol=1e-12)
+    x, y = moved[0, 1]
+    assert 19 <= x <= 21  # a pixel from the outline
+    assert 6 <= y <= 19
+    assert abs(y - 12) >= 5  # the farthest such places are 6 and 7 away
 
 
 @pytest.mark.parametrize("row", [10.0, 30.0])

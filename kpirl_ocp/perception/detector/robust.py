@@ -8,7 +8,7 @@ with the same weights sees the frame in front of another wall, in other colours 
 p is the softmax of the student's scores over the cells, g a Gaussian of one cell's width around the teacher's keypoint,
 z the student's keypoint and s its largest score. Frames from which the bottle has been taken teach mu: it is the
 probability that the keypoint is in view. A keypoint of the teacher that something hides most of the time (fingers) is
-moved, along the line through it and the others, to where the bottle is seen.
+moved to where the bottle is seen, to a place that moves and turns with it and the other keypoints.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ _SHARPNESS = 2.0  # largest scores per unit of the logit of mu
 _WARM_UP = 50  # steps over which the step size rises
 _CLIP_NORM = 10.0
 _HIDDEN = 0.8  # a keypoint that is on the visible bottle in fewer of the frames is moved
-_ALONG = np.concatenate([np.arange(-1.5, -0.25, 0.1), np.arange(0.3, 1.55, 0.1)])  # where to: not onto the others
+_NEAREST = 0.3  # to the middle of the others, of its distance from there
+_NEARLY = 0.1  # share of the frames by which a place farther from there may be worse
 
 
 @dataclass(frozen=True)
@@ -164,15 +165,27 @@ def _taught(teacher: KeypointDetector, frames: Iterable[Frame]) -> list[Frame]:
 def in_sight(keypoints: Array, bottles: Mask) -> Array:
     """Keypoints (n, K, 2) [pixels] of frames with visible bottles (n, S, S), the hidden ones moved to where it is seen.
 
-    If all are hidden, or none, they stay as they are.
+    A place is fixed in the frame of axes from the middle m of the others to the hidden keypoint and across,
+
+        m + a (z - m) + b R (z - m),    R the quarter turn,
+
+    and is good if it is on the bottle, a pixel from its outline, in many frames; the farthest from m is taken of those
+    that are nearly the best, as it shows the most of how the bottle turns. If all are hidden, or none, they stay as
+    they are.
     """
     hidden = _share_on(keypoints, bottles) < _HIDDEN
     if hidden.all():
         return keypoints
     middle, moved = keypoints[:, ~hidden].mean(axis=1), keypoints.copy()
+    inside = np.array([cv2.erode(bottle.astype(np.uint8), np.ones((3, 3), np.uint8)) for bottle in bottles])
+    a, b = (axis.ravel() for axis in np.meshgrid(np.arange(-15, 16) / 10, np.arange(-10, 11) / 10))
+    distance = np.hypot(a, b)
     for k in np.flatnonzero(hidden):
-        places = middle[:, None] + _ALONG[:, None] * (keypoints[:, k] - middle)[:, None]
-        moved[:, k] = places[:, _share_on(places, bottles).argmax()]
+        along = keypoints[:, k] - middle
+        across = along[:, ::-1] * [-1, 1]
+        places = middle[:, None] + a[:, None] * along[:, None] + b[:, None] * across[:, None]
+        shares = np.where(distance >= _NEAREST, _share_on(places, bottles) + _share_on(places, inside), 0.0)
+        moved[:, k] = places[:, np.where(shares >= shares.max() - _NEARLY, distance, 0.0).argmax()]
     return moved
 
 
