@@ -21,8 +21,7 @@ from kpirl_ocp.ocp.solvers.sqp import SQP
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
 # At active bounds z / y reaches 1e13: rounding of the last step can leave 1e-9, which a tolerance of 1e-10 allows.
 SETTINGS = {
-    # not closer: slacks come near the rounding of x
-    "converged": (Riccati(1e-10), {"tolerance": 1e-10}),
+    "converged": (Riccati(1e-12), {"tolerance": 1e-12}),
     "real-time": (REAL_TIME, {"steps": 1, "barrier": 1e-2}),
     "smoothed": (Riccati(barrier=1e-4), {"barrier": 1e-4}),
 }

@@ -83,7 +83,7 @@ static int corrected_fits(kpirl_mpc_core *core, kpirl_mpc_merit before, real slo
 
 /* The largest multiplier of a constraint that theta counts as equality. */
 static real heaviest(const kpirl_mpc_core *core) {
-  const real costate = kpirl_mpc_price(core, core->at.costates);
+  const real costate = kpirl_mpc_price(core);
   return core->penalty > 0 ? costate : kpirl_mpc_max(costate, kpirl_mpc_norm_inf(core->at.nu, kpirl_mpc_n_equalities(core)));
 }
 
@@ -165,8 +165,8 @@ static real kept_tau(kpirl_mpc_core *core, real least) {
   return kpirl_mpc_max(least, kpirl_mpc_min(KEPT * core->start_tau * left, core->tau));
 }
 
-/* Move along a Newton step, regularised until the filter accepts a useful length of it, or any in the end; from the first where the Hessian
- * is known to be `indefinite`. Returns whether it moved. */
+/* Move along a Newton step, regularised until the filter accepts more than a creeping length of it, or any in the end; from the first
+ * where the Hessian is known to be `indefinite`. Returns whether it moved. */
 int kpirl_mpc_newton_iterate(kpirl_mpc_core *core, int indefinite) {
   real rho = 0;
   int attempt;

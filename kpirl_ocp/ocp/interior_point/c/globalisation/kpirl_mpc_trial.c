@@ -7,7 +7,8 @@
 #include <string.h>
 
 static const real REMAINDER = (real)0.1;  /* a trial may end this much closer to the boundary than its linearisation */
-static const real CENTRAL = (real)1e-3;   /* slack * multiplier of h, relative to tau */
+static const real CENTRAL = (real)1e-3;   /* the smallest slack * multiplier, relative to tau */
+static const real KNOWN = 25;             /* times rounding: the smallest slack of a bound of which digits are known */
 static const real CENTRE = (real)1e10;    /* slack * multiplier stays within this factor of tau */
 static const real STILL = (real)0.5;      /* change of a slack without interior, relative to it, that is rounding */
 static const real NOTHING = (real)1e-3;   /* what a Newton step leaves of a slack, relative to it and to tau / z, where it leaves none */
@@ -112,19 +113,24 @@ real kpirl_mpc_hard_log_sum(const kpirl_mpc_core *core, const real *y) {
   return sum;
 }
 
-/* Slacks no smaller than what is left of the constraint, and multipliers near tau / y. Slacks of h also come no closer to zero than
- * central ones, as long as that violates h by less than is tolerated: weights z / y near 1 / rounding leave no digit of the rest. */
-void kpirl_mpc_centre(kpirl_mpc_core *core) {
-  const int m = kpirl_mpc_n_inequalities(core), bounds = kpirl_mpc_n_bounds(core);
+/* The smallest slack. Far below central ones, weights z / y near 1 / rounding leave no digit of the rest; so slacks stay near them, as long
+ * as that violates the constraint by less than is tolerated, and a bound by no more than rounding of x. */
+static real least_slack(const kpirl_mpc_core *core, int row) {
+  const real z = core->at.z[row], central = z > 0 ? CENTRAL * core->tau / z : 0;
   const real tolerated = (real)core->options.tolerance / 10;
+  const real least = kpirl_mpc_min(central, tolerated);
+  return row < kpirl_mpc_n_bounds(core) ? kpirl_mpc_min(least, KNOWN * rounding(core, row)) : least;
+}
+
+/* Slacks no smaller than what is left of the constraint, nor too close to zero, and multipliers near tau / y. */
+void kpirl_mpc_centre(kpirl_mpc_core *core) {
+  const int m = kpirl_mpc_n_inequalities(core);
   kpirl_mpc_iterate *at = &core->at;
   int i;
   for (i = 0; i < m; ++i) {
     const real g = core->d.g[i];
     real centred;
-    at->y[i] = isnan(g) ? g : kpirl_mpc_max(at->y[i], -g);
-    if (i >= bounds && at->z[i] > 0)
-      at->y[i] = kpirl_mpc_max(at->y[i], kpirl_mpc_min(CENTRAL * core->tau / at->z[i], tolerated));
+    at->y[i] = isnan(g) ? g : kpirl_mpc_max(kpirl_mpc_max(at->y[i], -g), least_slack(core, i));
     if (is_used_up(core, i)) at->y[i] = (real)core->options.tolerance;
     centred = core->tau / at->y[i];
     if (at->z[i] < centred / CENTRE) at->z[i] = centred / CENTRE;
