@@ -9,7 +9,8 @@
 #include <string.h>
 
 static const real SHORTEST = (real)1e-10;  /* step off a point that is no minimum */
-static const real FAR = (real)1e12;       /* |x|, or multipliers relative to the gradient of J, beyond which an iterate has diverged */
+static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
+static const real HEAVY = (real)1e6;      /* the same of multipliers, and of multipliers relative to the gradient of J */
 
 static int all_known(const kpirl_mpc_core *core) {
   const kpirl_mpc_derivatives *d = &core->d;
@@ -72,7 +73,7 @@ static int to_be_examined(const kpirl_mpc_core *core) { return !core->step.posit
 static int multipliers_diverged(const kpirl_mpc_core *core) {
   const real heaviest = kpirl_mpc_max(kpirl_mpc_norm_inf(core->at.z, kpirl_mpc_n_inequalities(core)),
                                          kpirl_mpc_norm_inf(core->at.nu, kpirl_mpc_n_equalities(core)));
-  return heaviest > FAR && heaviest > FAR * kpirl_mpc_norm_inf(core->d.cost_gradient, kpirl_mpc_n_point(core)) &&
+  return heaviest > HEAVY && heaviest > HEAVY * kpirl_mpc_norm_inf(core->d.cost_gradient, kpirl_mpc_n_point(core)) &&
          core->d.violation > core->filter.small;
 }
 
