@@ -42,6 +42,18 @@ def test_indefinite_hessian_at_a_stationary_point_does_not_hold_the_method_up():
     np.testing.assert_allclose(np.abs(found.actions), 1, rtol=0, atol=1e-8)
 
 
+def test_where_there_is_nothing_to_decide_one_iteration_finds_the_multipliers():
+    """s_t = 0.9^t, and what it costs is known before the first step; bounds that hold weigh nothing."""
+    s = ca.SX.sym("s")
+    problem = OCP.from_expressions(state=s, horizon=6, dynamics=0.9 * s, stage_cost=s**2, state_bounds=(0, 2))
+    found = Riccati().solve(problem, [1.0])
+    assert found.status is Status.CONVERGED
+    assert found.iterations <= 1
+    np.testing.assert_allclose(found.states[:, 0], 0.9 ** np.arange(7), rtol=1e-14, atol=0)
+    costates = 2 * 0.9 ** np.arange(1, 7) * (1 - 0.81 ** np.arange(5, -1, -1)) / (1 - 0.81)
+    np.testing.assert_allclose(found.multipliers.dynamics[:, 0], costates, rtol=0, atol=1e-9)
+
+
 def swing_up():
     s, u = ca.SX.sym("s", 2), ca.SX.sym("u")
     return OCP.from_expressions(

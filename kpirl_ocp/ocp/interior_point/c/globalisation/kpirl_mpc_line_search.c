@@ -150,7 +150,8 @@ static int leave_saddle(kpirl_mpc_core *core, real least) {
 }
 
 /* The smallest tau for now: a share of its start, in proportion to what is left of violation and gradient of the Lagrangian. Else
- * a first step that seems to solve everything would leave tau far behind the conditions where constraints are curved. */
+ * a first step that seems to solve everything would leave tau far behind the conditions where constraints are curved. Nothing is left where
+ * there is nothing to decide. */
 static real kept_tau(kpirl_mpc_core *core, real least) {
   const int n_w = kpirl_mpc_n_point(core);
   const real violation = kpirl_mpc_max(core->d.violation - kpirl_mpc_max(kpirl_mpc_violation_rounding(core), core->tolerance), 0);
@@ -159,7 +160,7 @@ static real kept_tau(kpirl_mpc_core *core, real least) {
   real left;
   core->most_violation = kpirl_mpc_max(kpirl_mpc_max(violation, SMALL), core->most_violation);
   core->most_gradient = kpirl_mpc_max(kpirl_mpc_max(gradient, cost_gradient), core->most_gradient);
-  if (core->options.barrier > 0) return least;
+  if (core->options.barrier > 0 || DIM(core, n_actions) + core->bounds.n_free == 0) return least;
   left = violation / core->most_violation;
   if (core->most_gradient > 0) left = kpirl_mpc_max(gradient / core->most_gradient, left);
   return kpirl_mpc_max(least, kpirl_mpc_min(KEPT * core->start_tau * left, core->tau));

@@ -10,6 +10,7 @@
 
 static const real FIRST = (real)1e3, LAST = (real)1e7; /* penalties, relative to the gradient of J */
 static const real LEFT = (real)0.01;    /* share of the violation that is left where the method proper goes on */
+static const real LITTLE = (real)0.1;   /* share of the violation of a convex problem that may be unproved */
 static const real LOWERED = (real)0.1, LAST_TAU = (real)1e-4; /* factor of tau, and the last one relative to the first */
 
 /* The largest violation of a constraint, in units of core->row_sizes. */
@@ -31,13 +32,31 @@ static void begin_barrier_problem(kpirl_mpc_core *core, real tau) {
   kpirl_mpc_start_filter(core);
 }
 
-/* Solve barrier problems of falling tau, until no violation is larger than `enough`. */
-static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real enough) {
-  const real first = core->tau;
+/* Was every Hessian since the restoration began positive? Then the violation behaves like a convex one, whose stationary points are
+ * its minima. */
+int kpirl_mpc_looked_convex(const kpirl_mpc_core *core) { return core->regularisation == 0; }
+
+/* Where the barrier problem is solved: do all its logarithms together, of which each leaves at most tau of a convex problem's penalty,
+ * leave little of it? Then most of the violation cannot go. */
+static int beyond_duality_gap(const kpirl_mpc_core *core) {
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+  real sum = 0;
+  int logarithms = 2 * n_c, i;
+  for (i = 0; i < m; ++i) {
+    const int elastic = kpirl_mpc_is_elastic(core, i);
+    if (elastic) sum += kpirl_mpc_max(core->d.g[i] / core->row_sizes[i], 0);
+    logarithms += elastic ? 2 : 1;
+  }
+  for (i = 0; i < n_c; ++i) sum += kpirl_mpc_abs(core->d.c[i]) / core->row_sizes[m + i];
+  return logarithms * core->tau < LITTLE * core->penalty * sum;
+}
+
+/* Solve barrier problems of falling tau, down to the last, until no violation is larger than `enough`. */
+static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real last, real enough) {
   for (;;) {
     if (violation(core) <= enough) return KPIRL_MPC_RESTORED;
     if (kpirl_mpc_subproblem_solved(core)) {
-      if (core->tau <= LAST_TAU * first) return KPIRL_MPC_SHOWN_INFEASIBLE;
+      if (core->tau <= last || (kpirl_mpc_looked_convex(core) && beyond_duality_gap(core))) return KPIRL_MPC_SHOWN_INFEASIBLE;
       begin_barrier_problem(core, LOWERED * core->tau);
       continue;
     }
@@ -59,7 +78,17 @@ static kpirl_mpc_restoration restore_with(kpirl_mpc_core *core, real penalty, re
   for (i = 0; i < bounds; ++i) at->z[i] = kpirl_mpc_max(at->z[i], kpirl_mpc_min(tau / at->y[i], penalty));
   core->penalty = penalty;
   begin_barrier_problem(core, tau);
-  return descend(core, enough);
+  return descend(core, LAST_TAU * tau, enough);
+}
+
+/* With a larger penalty from a minimum for a smaller one: with the same slacks it nearly is one, too. */
+static kpirl_mpc_restoration raise_penalty(kpirl_mpc_core *core, real factor, real enough) {
+  const int bounds = kpirl_mpc_n_bounds(core);
+  int i;
+  for (i = 0; i < bounds; ++i) core->at.z[i] *= factor;
+  core->penalty *= factor;
+  begin_barrier_problem(core, factor * core->tau);
+  return descend(core, core->tau, enough);
 }
 
 /* With a first and a last penalty for these sizes of rows, from where the iterate is. */
@@ -70,11 +99,13 @@ static kpirl_mpc_restoration restore_scaled(kpirl_mpc_core *core) {
   core->regularisation = 0;
   memset(core->at.costates, 0, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
   result = restore_with(core, FIRST * scale, enough);
-  return result == KPIRL_MPC_RESTORED ? result : restore_with(core, LAST * scale, enough);
+  if (result == KPIRL_MPC_RESTORED) return result;
+  if (result == KPIRL_MPC_SHOWN_INFEASIBLE && kpirl_mpc_looked_convex(core)) return raise_penalty(core, LAST / FIRST, enough);
+  return restore_with(core, LAST * scale, enough);
 }
 
-/* What is stationary for violations in units of their gradients may not be for violations as they were stated: both have to say
- * so before a problem is called infeasible. */
+/* What is stationary for violations in units of their gradients may not be for violations as they were stated, unless they are convex:
+ * both have to say so before a problem is called infeasible. */
 kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core) {
   const int rows = kpirl_mpc_n_inequalities(core) + kpirl_mpc_n_equalities(core);
   kpirl_mpc_restoration result;
@@ -82,7 +113,7 @@ kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core) {
   kpirl_mpc_measure_rows(core);
   if (!kpirl_mpc_has_elastic(core) || !(violation(core) > core->tolerance)) return KPIRL_MPC_NOT_RESTORED;
   result = restore_scaled(core);
-  if (result == KPIRL_MPC_SHOWN_INFEASIBLE) {
+  if (result == KPIRL_MPC_SHOWN_INFEASIBLE && !kpirl_mpc_looked_convex(core)) {
     for (i = 0; i < rows; ++i) core->row_sizes[i] = 1;
     result = restore_scaled(core);
   }

@@ -181,12 +181,14 @@ static kpirl_mpc_status go_on(kpirl_mpc_core *core) {
 }
 
 /* Along the dynamics: from where lifted steps got stuck if no length of a step was accepted there, unless that shows a point to be
- * infeasible, which says nothing of others; then with costates, from the guess and from where its actions lead. */
+ * infeasible, which says nothing of others of a problem that does not look convex; then with costates, from the guess and from where its
+ * actions lead. */
 static kpirl_mpc_status follow(kpirl_mpc_core *core, const kpirl_mpc_start *guess, kpirl_mpc_status status) {
   kpirl_mpc_start rolled;
   core->lifted = 0;
   if (status == KPIRL_MPC_STALLED && core->step.positive) {
     status = go_on(core);
+    if (status == KPIRL_MPC_INFEASIBLE && kpirl_mpc_looked_convex(core)) return status;
     if (!stuck(status) && (status != KPIRL_MPC_ITERATION_LIMIT || core->iterations >= core->options.max_iterations)) return status;
   }
   begin_with_costates(core, guess);
