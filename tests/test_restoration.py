@@ -138,12 +138,13 @@ def test_no_unit_of_a_constraint_makes_a_feasible_problem_infeasible(unit, unit_
         assert found.status in (Status.CONVERGED, Status.ACCEPTABLE), (s0, found)
 
 
-@pytest.mark.parametrize("start", [1.2, 2.0, 2.2])
+@pytest.mark.parametrize("start", [1.2, 2.0, 2.2, 7.0])
 def test_free_durations_that_run_to_their_bounds_are_given_up_soon(start):
     """A car drives for q_1 seconds with a force of at most 1, then brakes for q_2 with 2, from rest to rest at 3.
 
     Nothing can be reached in the shortest durations, to which first steps lead: forces of constraints grow a million
-    times over there, and waiting until they were 1e12 took 90 to 500 iterations. In closed form the durations are 2, 1.
+    times over there, and waiting until they were 1e12 took 90 to 500 iterations. From 7 s steps of a hundredth and
+    less led nowhere in 500. In closed form the durations are 2, 1.
     """
     n, s, u, q, first = 10, ca.SX.sym("s", 2), ca.SX.sym("u"), ca.SX.sym("q", 2), ca.SX.sym("d")
     dt, force = ca.if_else(first, q[0], q[1]) / n, ca.if_else(first, u, 2 * (u - 1))
@@ -162,7 +163,7 @@ def test_free_durations_that_run_to_their_bounds_are_given_up_soon(start):
     )
     found = Riccati().solve(problem, [0, 0, start, start]).raise_if_failed()
     np.testing.assert_allclose(problem.static_of(found), [2, 1], rtol=1e-6)
-    assert found.iterations <= 60
+    assert found.iterations <= 70
 
 
 def test_infeasible_is_not_said_before_steps_along_the_dynamics_say_so_too():

@@ -116,7 +116,7 @@ typedef struct kpirl_mpc_core {
   real start_tau, most_violation, most_gradient; /* tau at the beginning; the largest violation and gradient since */
   real tolerance, regularisation, best[3]; /* best: the smallest residuals so far */
   double started;
-  int iterations, trials, idle; /* idle: iterations since one of `best` was halved */
+  int iterations, trials, idle, creeping; /* idle: iterations since one of `best` was halved; creeping: since a step was long */
   int lifted, held;            /* are steps lifted, or along the dynamics? was tau held where the Hessian was not positive? */
   int no_costates;             /* are they zero because nothing is known about them? */
   int failed;                  /* has a function reported an error? */

@@ -10,6 +10,8 @@
 
 static const real SHORTEST = (real)1e-10;  /* step off a point that is no minimum */
 static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
+static const real CREEPING = (real)1e-2;  /* length of a step that leads nowhere if it is one of */
+static const int LONG = 10;               /* so many, one after the other */
 static const real HEAVY = (real)1e6;      /* the same of forces of constraints, relative to the gradient of J */
 
 static int all_known(const kpirl_mpc_core *core) {
@@ -87,6 +89,13 @@ static int multipliers_diverged(kpirl_mpc_core *core) {
          heaviest_force(core) > HEAVY * kpirl_mpc_max(1, kpirl_mpc_norm_inf(core->d.cost_gradient, kpirl_mpc_n_point(core)));
 }
 
+/* Has the method crept for long, far from feasible points? */
+static int creeps(kpirl_mpc_core *core) {
+  const int crept = core->step.primal_length < CREEPING && core->d.violation > core->filter.small;
+  core->creeping = crept ? core->creeping + 1 : 0;
+  return core->creeping >= LONG;
+}
+
 kpirl_mpc_status kpirl_mpc_converge(kpirl_mpc_core *core) {
   for (;; ++core->iterations) {
     if (!all_known(core)) return KPIRL_MPC_NOT_FINITE;
@@ -100,7 +109,7 @@ kpirl_mpc_status kpirl_mpc_converge(kpirl_mpc_core *core) {
     if (kpirl_mpc_core_out_of_time(core)) return KPIRL_MPC_TIME_LIMIT;
     if (kpirl_mpc_norm_inf(core->at.x, kpirl_mpc_n_point(core)) > FAR) return KPIRL_MPC_DIVERGED;
     if (kpirl_mpc_idle(core) && kpirl_mpc_acceptable(core)) return KPIRL_MPC_ACCEPTABLE;
-    if (multipliers_diverged(core)) return why_stuck(core);
+    if (multipliers_diverged(core) || creeps(core)) return why_stuck(core);
     if (!kpirl_mpc_iterate_once(core, kpirl_mpc_final_tau(core))) return why_stuck(core);
     kpirl_mpc_log_iteration(core);
   }

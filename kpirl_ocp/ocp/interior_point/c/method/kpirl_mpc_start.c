@@ -122,8 +122,9 @@ static void begin_with(kpirl_mpc_core *core, real tau) {
   core->escaped_tau = (real)INFINITY;
   core->regularisation = core->step.regularisation = 0;
   core->step.positive = 0; /* there was no step yet */
+  core->step.primal_length = 1;
   for (i = 0; i < 3; ++i) core->best[i] = (real)INFINITY;
-  core->idle = 0;
+  core->idle = core->creeping = 0;
   kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
   kpirl_mpc_start_filter(core);
 }
