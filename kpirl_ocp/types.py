@@ -225,7 +225,7 @@ class Solution:
     objective: value of the cost.
     psi, context: (n_psi,), (n_c,) that it was solved for; s_0 is states[0].
     barrier: complementarity parameter tau of the problem that was solved; 0 for the problem itself.
-    message: the backend's own status text.
+    message: the backend's own status text; of an infeasible one, which constraint is violated most.
     """
 
     trajectory: Trajectory

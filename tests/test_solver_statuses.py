@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from problems import integrator
-from statements import S, U, state
+from statements import D, S, T, U, state
 
 from kpirl_ocp import OCP, SQP, Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.ocp.problem.threads import one_at_a_time
@@ -27,6 +27,31 @@ INFEASIBLE = {
     "an equality without a root": {"terminal_equality": S[0] ** 2 + 1},
     "a start that violates a row": {"path_constraint": S[0] + 1},
 }
+
+
+AT_THE_END = {"stage": D, "schedule": np.arange(T + 1)[:, None] == T}
+MOST_VIOLATED = {
+    "path_constraint[1] at step 0": {"path_constraint": ca.vertcat(U - 9, S[1] + 0.7)},
+    "terminal_constraint[1] at the end": {
+        "path_constraint": S[0] - 9,
+        "terminal_constraint": ca.vertcat(S[0] - 9, S[0] ** 2 + 1),
+    },
+    "path_constraint[2] at the end": {
+        "path_constraint": ca.vertcat(U - 9, S[1] - 9, D * (1 + S[0] ** 2)),
+        **AT_THE_END,
+    },
+    "terminal_equality[1] at the end": {"terminal_equality": ca.vertcat(S[1], S[0] ** 2 + 1)},
+}
+
+
+@pytest.mark.parametrize("solver", [Riccati(), Ipopt(), Fatrop()], ids=lambda solver: type(solver).__name__)
+@pytest.mark.parametrize("row", MOST_VIOLATED)
+def test_an_infeasible_solution_says_which_constraint_is_violated_most(row, solver):
+    found = solver.solve(state(dynamics=LINEAR, stage_cost=U**2, **MOST_VIOLATED[row]), [0.0, 0.3])
+    assert found.status is Status.INFEASIBLE
+    said, size = str(found).rstrip(")").split("; ")[-1].split(" is violated most, by ")
+    assert said == row
+    assert float(size) == pytest.approx(1, rel=1e-2)
 
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=str)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import kpirl_ocp.ocp.interior_point.library as c
+from kpirl_ocp.ocp.conditions.violations import explained
 from kpirl_ocp.ocp.problem.layout import multiplier_shapes
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory, record
@@ -51,7 +52,8 @@ def solutions_in(
     """
     rows["multipliers.state"][:, 0, ~problem.free_start] = 0
     parts = (rows[name] for name in rows.dtype.names or ())
-    return list(map(partial(_solution, barrier), psi, context, results.tolist(), *parts))
+    solutions = map(partial(_solution, barrier), psi, context, results.tolist(), *parts)
+    return [explained(problem, found) if found.status is Status.INFEASIBLE else found for found in solutions]
 
 
 def _solution(barrier: float, psi: Array, context: Array, result: tuple[Any, ...], *parts: Array) -> Solution:

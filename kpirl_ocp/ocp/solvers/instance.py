@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.conditions.multiplier_estimates import estimate_multipliers
 from kpirl_ocp.ocp.conditions.program import limits_from, not_started, starting_point, trajectory_of, transcribe
+from kpirl_ocp.ocp.conditions.violations import explained
 from kpirl_ocp.ocp.problem.layout import bound_multipliers, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, numbers_of
@@ -84,7 +85,7 @@ class Instance:
         residuals = audit(self.problem, self.psi, self.context, trajectory, multipliers, barrier)
         if barrier == 0 and residuals.feasibility <= tolerance < residuals.worst:
             multipliers, residuals = self._estimated(trajectory, tolerance) or (multipliers, residuals)
-        return Solution(
+        found = Solution(
             trajectory=trajectory,
             multipliers=multipliers,
             objective=objective,
@@ -96,6 +97,7 @@ class Instance:
             barrier=barrier,
             message=message,
         )
+        return explained(self.problem, found) if found.status is Status.INFEASIBLE else found
 
     def _estimated(self, trajectory: Trajectory, tolerance: float) -> tuple[Multipliers, KKTResiduals] | None:
         """Estimated multipliers and their residuals, if these meet the tolerance."""

@@ -1,0 +1,63 @@
+"""Which constraint a plan breaks, in the words in which the problem was stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kpirl_ocp.ocp.conditions.program import transcribe
+from kpirl_ocp.ocp.problem.layout import limits, pack, unpack_multipliers
+from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.types import Array, Multipliers, Solution, Trajectory
+
+_STATED = {
+    "dynamics": "dynamics",
+    "state": "state_bounds",
+    "action": "action_bounds",
+    "path": "path_constraint",
+    "path_equality": "path_equality",
+    "terminal": "terminal_constraint",
+    "terminal_equality": "terminal_equality",
+}
+
+
+def violations(problem: OCP, psi: Array, context: Array, trajectory: Trajectory) -> Multipliers:
+    """By how much each constraint is violated, in its own units: arrays that belong to rows as multipliers do."""
+    w = pack(trajectory)
+    lower, upper = limits(problem)
+    _, g_E, g_I = (value.full().ravel() for value in transcribe(problem).values(w, psi, context))
+    beyond = np.maximum(np.maximum(lower - w, w - upper), 0)
+    return unpack_multipliers(problem, beyond, np.abs(g_E), np.maximum(g_I, 0))
+
+
+def explained(problem: OCP, found: Solution) -> Solution:
+    """An infeasible solution that says which constraint it violates most."""
+    worst = worst_violation(problem, found.psi, found.context, found.trajectory)
+    return replace(found, message="; ".join(filter(None, [found.message, worst])))
+
+
+def worst_violation(problem: OCP, psi: Array, context: Array, trajectory: Trajectory) -> str:
+    """The largest violation in a sentence, as "path_constraint[2] at step 7 is violated most, by 0.31".
+
+    Empty where no constraint is violated, or one is not finite.
+    """
+    rows = vars(violations(problem, psi, context, trajectory))
+    name = max(rows, key=lambda name: np.max(rows[name], initial=0.0))
+    size = np.max(rows[name], initial=0.0)
+    if not 0 < size < np.inf:
+        return ""
+    *step, row = (int(i) for i in np.unravel_index(rows[name].argmax(), rows[name].shape))
+    return f"{_stated(problem, name, row)} at {_when(problem, name, step)} is violated most, by {size:.3g}"
+
+
+def _stated(problem: OCP, name: str, row: int) -> str:
+    """A row as `OCP.from_expressions` was given it."""
+    if name == "terminal" and row < len(problem.state_rows):
+        return f"path_constraint[{problem.state_rows[row]}]"
+    return f"{_STATED[name]}[{row - len(problem.state_rows) if name == 'terminal' else row}]"
+
+
+def _when(problem: OCP, name: str, step: list[int]) -> str:
+    last = not step or (name == "state" and step[0] == problem.horizon)
+    return "the end" if last else f"step {step[0]}"
