@@ -190,8 +190,9 @@ def test_a_peer_is_judged_by_the_same_answers():
 
 
 def test_statuses_of_random_problems_are_confirmed():
-    counts, wrong = confirmed.count(QUICK.statuses)
+    counts, wrong, pairs = confirmed.count(QUICK.statuses)
     assert wrong == []
+    assert sum(map(len, pairs.values())) == QUICK.statuses
     for name in ("Riccati", "Ipopt"):
         assert counts[name][confirmed.COLUMNS[0]] >= 0.9 * QUICK.statuses
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from bench.part import Part, Table
 from test_random_problems import random_case
 from test_random_statements import Drawing
 from tqdm import tqdm
 
-from kpirl_ocp import SQP, Fatrop, Ipopt, Riccati, Solution, Status
+from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Riccati, Solution, Status
+from kpirl_ocp.ocp.problem.solver import Solver
+from kpirl_ocp.types import Array
 from stress.settings import Profile
+from stress.starts.board import MANY, Pairs, Run, summary
 from stress.statuses.whole import Whole
 
 SOLVERS = {"Riccati": Riccati(), "Ipopt": Ipopt(), "Fatrop": Fatrop(), "SQP": SQP()}
@@ -31,30 +35,46 @@ _NOTE = (
 
 
 def measure(profile: Profile) -> Part:
-    """Counts of what each solver said, by whether it is so."""
-    counts, wrong = count(profile.statuses)
+    """Counts of what each solver said, by whether it is so; and iterations of `Riccati` beside Ipopt's."""
+    counts, wrong, pairs = count(profile.statuses)
     rows = [[name, *(counts[name][column] for column in COLUMNS)] for name in SOLVERS]
     numbers = {name: dict(tally) for name, tally in counts.items()} | {"wrong": wrong}
+    numbers["ratios"] = {name: summary(found) for name, found in pairs.items()}
     title = f"Statuses of {profile.statuses} random problems"
-    return Part(numbers, [Table(title, ["solver", *COLUMNS], rows, _NOTE)])
+    return Part(numbers, [Table(title, ["solver", *COLUMNS], rows, _NOTE), _iterations(numbers["ratios"])])
 
 
-def count(problems: int) -> tuple[dict[str, Counter], list[tuple[str, int]]]:
-    """Columns by solver, and the pairs of solver and problem whose status is wrong."""
+def _iterations(ratios: Mapping[str, Mapping[str, Any]]) -> Table:
+    header = ["both say", "problems", "mean ratio", f"above {MANY}", "largest"]
+    rows = [[name, r["both"], f"{r['mean']:.3f}", r["many"], f"{r['largest']:.2f}"] for name, r in ratios.items()]
+    return Table("Iterations on these problems, Riccati / Ipopt", header, rows)
+
+
+def count(problems: int) -> tuple[dict[str, Counter], list[tuple[str, int]], Pairs]:
+    """Columns by solver; the pairs of solver and problem whose status is wrong; runs of equal status, by that."""
     counts: dict[str, Counter] = defaultdict(Counter)
     wrong = []
+    pairs: Pairs = {status.name: [] for status in (Status.CONVERGED, Status.INFEASIBLE)}
     for seed in tqdm(range(problems), "statuses", unit="problem"):
         problem, numbers = random_problem(seed)
         whole = Whole(problem, *numbers)
         feasible = _once(lambda whole=whole: whole.least_violation() < 1e-6)
-        for name, solver in SOLVERS.items():
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                column = _column(solver.solve(problem, *numbers), whole, feasible)
+        found = {name: _quietly(solver, problem, numbers) for name, solver in SOLVERS.items()}
+        for name, plan in found.items():
+            column = _column(plan, whole, feasible)
             counts[name][column] += 1
             if column in (COLUMNS[1], COLUMNS[3]):
                 wrong.append((name, seed))
-    return counts, wrong
+        ours, theirs = found["Riccati"], found["Ipopt"]
+        if ours.status is theirs.status and ours.status.name in pairs:
+            pairs[ours.status.name].append((Run(ours.iterations, True), Run(theirs.iterations, True)))
+    return counts, wrong, pairs
+
+
+def _quietly(solver: Solver, problem: OCP, numbers: tuple[Array, ...]) -> Solution:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return solver.solve(problem, *numbers)
 
 
 def random_problem(seed: int):
