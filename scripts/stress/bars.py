@@ -21,6 +21,9 @@ def broken(numbers: dict[str, Any]) -> list[str]:
     starts = numbers.get("starts", {}).get("all")
     if starts and (starts["lost"] or starts["many"] or not starts["mean"] <= _MEAN):
         found.append(f"iterations from noisy starts: {starts}.")
+    between = numbers.get("obstacles", {}).get("all")
+    if between and between["lost"]:
+        found.append(f"ways between obstacles that only Ipopt finds: {between}.")
     for name, life in numbers.get("lives", {}).items():
         if life["end"] - life["middle"] > _MEGABYTES or life["handles"] > 0:
             found.append(f"{name}: memory or open files grow: {life}.")

@@ -10,6 +10,7 @@ class Profile:
     kills: of each program; every_program: also of those that take long.
     solves, problems: in one process. statuses: random problems.
     starts: noisy ones of each system. units: draws of each classic problem.
+    obstacles: draws for each vehicle and guess.
     """
 
     cases: int
@@ -22,6 +23,7 @@ class Profile:
     statuses: int
     starts: int
     units: int
+    obstacles: int
 
 
 PROFILES = {
@@ -36,6 +38,7 @@ PROFILES = {
         statuses=30,
         starts=1,
         units=1,
+        obstacles=2,
     ),
     "full": Profile(
         cases=10_000,
@@ -48,5 +51,6 @@ PROFILES = {
         statuses=1_000,
         starts=20,
         units=10,
+        obstacles=40,
     ),
 }

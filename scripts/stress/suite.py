@@ -19,7 +19,7 @@ from stress.kills import campaign
 from stress.lives import memory
 from stress.peers import rates
 from stress.settings import PROFILES
-from stress.starts import board, units
+from stress.starts import board, obstacles, units
 from stress.statuses import confirmed
 
 PARTS = {
@@ -28,6 +28,7 @@ PARTS = {
     "statuses": confirmed.measure,
     "starts": board.measure,
     "units": units.measure,
+    "obstacles": obstacles.measure,
     "lives": memory.measure,
     "kills": campaign.measure,
 }

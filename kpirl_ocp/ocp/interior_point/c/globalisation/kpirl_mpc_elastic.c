@@ -15,6 +15,8 @@
  */
 #include "kpirl_mpc_method.h"
 
+static const real HEAVY = (real)1e6; /* forces of constraints that mean nothing any more, relative to the gradient of J, or 1 */
+
 /* Can an inequality be violated? Bounds of decisions can not. */
 static int can_be_elastic(const kpirl_mpc_core *core, int row) {
   const int n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
@@ -82,6 +84,16 @@ void kpirl_mpc_measure_rows(kpirl_mpc_core *core) {
   for (i = 0; i < core->n_fixed; ++i) of_equalities[i] = 1;
   sizes_of(core, core->d.G, DIM(core, n_path), DIM(core, n_terminal), core->row_sizes + bounds);
   sizes_of(core, core->d.E, DIM(core, n_equality), DIM(core, n_terminal_equality), of_equalities + core->n_fixed);
+}
+
+/* A force of a constraint is its multiplier times the size of its row. */
+int kpirl_mpc_too_heavy(kpirl_mpc_core *core, const real *multipliers, int first, int count) {
+  const real most = HEAVY * kpirl_mpc_max(1, kpirl_mpc_norm_inf(core->d.cost_gradient, kpirl_mpc_n_point(core)));
+  int i;
+  kpirl_mpc_measure_rows(core);
+  for (i = 0; i < count; ++i)
+    if (kpirl_mpc_abs(multipliers[i]) * core->row_sizes[first + i] > most) return 1;
+  return 0;
 }
 
 real kpirl_mpc_penalty(const kpirl_mpc_core *core, const real *g, const real *c) {

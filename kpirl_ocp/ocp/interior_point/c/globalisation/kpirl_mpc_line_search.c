@@ -71,6 +71,17 @@ static int contradictory(const kpirl_mpc_core *core) {
          KPIRL_MPC_PROXIMAL * kpirl_mpc_norm_inf(core->step.change.nu, n_c) > LEFT * violation;
 }
 
+/* Where linearised equalities contradict each other, what a step leaves of them, over delta, becomes their multipliers. Those say
+ * nothing of the problem: go on without them, as at a start. */
+static void forget_heavy_multipliers(kpirl_mpc_core *core) {
+  const int n_c = kpirl_mpc_n_equalities(core);
+  if (core->penalty > 0 || core->d.violation <= core->filter.small) return;
+  if (!kpirl_mpc_too_heavy(core, core->trial.nu, kpirl_mpc_n_inequalities(core), n_c)) return;
+  memset(core->trial.costates, 0, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
+  memset(core->trial.nu, 0, (size_t)n_c * sizeof(real));
+  core->no_costates = 1;
+}
+
 /* The lifted trial violates the constraints more, to second order. One along the dynamics leaves (1 - length) of their defects, as the
  * linearised step would. */
 static int corrected_fits(kpirl_mpc_core *core, kpirl_mpc_merit before, real slope, real length, real price) {
@@ -111,6 +122,7 @@ static int move_along(kpirl_mpc_core *core, real least) {
         (isfinite(trial.phi) && trial.theta >= before.theta && kpirl_mpc_off_dynamics(core) &&
          corrected_fits(core, before, slope, length, price))) {
       core->step.primal_length = length;
+      forget_heavy_multipliers(core);
       kpirl_mpc_accept_trial(core, KPIRL_MPC_SECOND);
       return 1;
     }

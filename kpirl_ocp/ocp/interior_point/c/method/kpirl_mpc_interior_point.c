@@ -12,7 +12,6 @@ static const real SHORTEST = (real)1e-10;  /* step off a point that is no minimu
 static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
 static const real CREEPING = (real)1e-2;  /* length of a step that leads nowhere if it is one of */
 static const int LONG = 10;               /* so many, one after the other */
-static const real HEAVY = (real)1e6;      /* the same of forces of constraints, relative to the gradient of J */
 
 static int all_known(const kpirl_mpc_core *core) {
   const kpirl_mpc_derivatives *d = &core->d;
@@ -70,23 +69,10 @@ static kpirl_mpc_status why_stuck(kpirl_mpc_core *core) {
 /* A solution is no minimum where the Hessian is not positive. Newton steps that needed no regularisation know that it is. */
 static int to_be_examined(const kpirl_mpc_core *core) { return !core->step.positive || core->step.regularisation > 0; }
 
-/* The largest force of a constraint on an entry of x: its multiplier times the size of its gradient. */
-static real heaviest_force(kpirl_mpc_core *core) {
-  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
-  const real *sizes = core->row_sizes;
-  real heaviest = 0;
-  int i;
-  kpirl_mpc_measure_rows(core);
-  for (i = 0; i < m; ++i) heaviest = kpirl_mpc_max(core->at.z[i] * sizes[i], heaviest);
-  for (i = 0; i < n_c; ++i) heaviest = kpirl_mpc_max(kpirl_mpc_abs(core->at.nu[i]) * sizes[m + i], heaviest);
-  return heaviest;
-}
-
 /* Have multipliers grown without bound, and left the point far from feasible? So they do where linearised constraints contradict
  * each other, also from a few points in turn. Near feasible points of a set without interior they grow as well, and are right. */
 static int multipliers_diverged(kpirl_mpc_core *core) {
-  return core->d.violation > core->filter.small &&
-         heaviest_force(core) > HEAVY * kpirl_mpc_max(1, kpirl_mpc_norm_inf(core->d.cost_gradient, kpirl_mpc_n_point(core)));
+  return core->d.violation > core->filter.small && kpirl_mpc_too_heavy(core, core->at.z, 0, kpirl_mpc_n_inequalities(core));
 }
 
 /* Has the method crept for long, far from feasible points? */
