@@ -32,8 +32,7 @@ static void begin_barrier_problem(kpirl_mpc_core *core, real tau) {
   kpirl_mpc_start_filter(core);
 }
 
-/* Was every Hessian since the restoration began positive? Then the violation behaves like a convex one, whose stationary points are
- * its minima. */
+/* Was every Hessian positive? Then the violation behaves like a convex one, whose stationary points are its minima. */
 int kpirl_mpc_looked_convex(const kpirl_mpc_core *core) { return core->regularisation == 0; }
 
 /* Where the barrier problem is solved: do all its logarithms together, of which each leaves at most tau of a convex problem's penalty,

@@ -151,7 +151,7 @@ static int has_costates(kpirl_mpc_core *core) {
 }
 
 /* Lifted from the guess, without costates, unless the Hessian is not positive then (see kpirl_mpc_iterate_once), or what it lacks
- * decides; where that gets stuck, once more with them. */
+ * decides; where that gets stuck, once more with them, but not where no Hessian on the way lacked anything. */
 static kpirl_mpc_status lift(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
   kpirl_mpc_status status;
   int bare;
@@ -165,6 +165,7 @@ static kpirl_mpc_status lift(kpirl_mpc_core *core, const kpirl_mpc_start *guess)
     status = kpirl_mpc_converge(core);
   }
   if (!bare || !given_up(core, status)) return status;
+  if (status == KPIRL_MPC_STALLED && kpirl_mpc_looked_convex(core)) return status;
   begin_with_costates(core, guess);
   return kpirl_mpc_converge(core);
 }
