@@ -118,6 +118,7 @@ typedef struct kpirl_mpc_core {
   double started;
   int iterations, trials, idle, creeping; /* idle: iterations since one of `best` was halved; creeping: since a step was long */
   int lifted, held;            /* are steps lifted, or along the dynamics? was tau held where the Hessian was not positive? */
+  int indefinite;              /* was a Hessian not positive since this attempt or restoration began? */
   int no_costates;             /* are they zero because nothing is known about them? */
   int failed;                  /* has a function reported an error? */
   int factored, settled;       /* are the factors those of this iterate, without regularisation? the matrices those of any? */

@@ -32,10 +32,8 @@ static void begin_barrier_problem(kpirl_mpc_core *core, real tau) {
   kpirl_mpc_start_filter(core);
 }
 
-/* Was every Hessian positive? Then the violation behaves like a convex one, whose stationary points are its minima. */
-int kpirl_mpc_looked_convex(const kpirl_mpc_core *core) { return core->regularisation == 0; }
-
-/* Where the barrier problem is solved: do all its logarithms together, of which each leaves at most tau of a convex problem's penalty,
+/* Where every Hessian was positive, the violation behaves like a convex one, whose stationary points are its minima. There, and where the
+ * barrier problem is solved: do all its logarithms together, of which each leaves at most tau of a convex problem's penalty,
  * leave little of it? Then most of the violation cannot go. */
 static int beyond_duality_gap(const kpirl_mpc_core *core) {
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
@@ -55,7 +53,7 @@ static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real last, real enoug
   for (;;) {
     if (violation(core) <= enough) return KPIRL_MPC_RESTORED;
     if (kpirl_mpc_subproblem_solved(core)) {
-      if (core->tau <= last || (kpirl_mpc_looked_convex(core) && beyond_duality_gap(core))) return KPIRL_MPC_SHOWN_INFEASIBLE;
+      if (core->tau <= last || (!core->indefinite && beyond_duality_gap(core))) return KPIRL_MPC_SHOWN_INFEASIBLE;
       begin_barrier_problem(core, LOWERED * core->tau);
       continue;
     }
@@ -96,10 +94,11 @@ static kpirl_mpc_restoration restore_scaled(kpirl_mpc_core *core) {
   const real scale = gradient > 0 ? gradient : 1;
   kpirl_mpc_restoration result;
   core->regularisation = 0;
+  core->indefinite = 0;
   memset(core->at.costates, 0, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
   result = restore_with(core, FIRST * scale, enough);
   if (result == KPIRL_MPC_RESTORED) return result;
-  if (result == KPIRL_MPC_SHOWN_INFEASIBLE && kpirl_mpc_looked_convex(core)) return raise_penalty(core, LAST / FIRST, enough);
+  if (result == KPIRL_MPC_SHOWN_INFEASIBLE && !core->indefinite) return raise_penalty(core, LAST / FIRST, enough);
   return restore_with(core, LAST * scale, enough);
 }
 
@@ -112,7 +111,7 @@ kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core) {
   kpirl_mpc_measure_rows(core);
   if (!kpirl_mpc_has_elastic(core) || !(violation(core) > core->tolerance)) return KPIRL_MPC_NOT_RESTORED;
   result = restore_scaled(core);
-  if (result == KPIRL_MPC_SHOWN_INFEASIBLE && !kpirl_mpc_looked_convex(core)) {
+  if (result == KPIRL_MPC_SHOWN_INFEASIBLE && core->indefinite) {
     for (i = 0; i < rows; ++i) core->row_sizes[i] = 1;
     result = restore_scaled(core);
   }

@@ -165,7 +165,7 @@ static kpirl_mpc_status lift(kpirl_mpc_core *core, const kpirl_mpc_start *guess)
     status = kpirl_mpc_converge(core);
   }
   if (!bare || !given_up(core, status)) return status;
-  if (status == KPIRL_MPC_STALLED && kpirl_mpc_looked_convex(core)) return status;
+  if (status == KPIRL_MPC_STALLED && !core->indefinite) return status;
   begin_with_costates(core, guess);
   return kpirl_mpc_converge(core);
 }
@@ -189,7 +189,7 @@ static kpirl_mpc_status follow(kpirl_mpc_core *core, const kpirl_mpc_start *gues
   core->lifted = 0;
   if (status == KPIRL_MPC_STALLED && core->step.positive) {
     status = go_on(core);
-    if (status == KPIRL_MPC_INFEASIBLE && kpirl_mpc_looked_convex(core)) return status;
+    if (status == KPIRL_MPC_INFEASIBLE && !core->indefinite) return status;
     if (!stuck(status) && (status != KPIRL_MPC_ITERATION_LIMIT || core->iterations >= core->options.max_iterations)) return status;
   }
   begin_with_costates(core, guess);

@@ -105,7 +105,6 @@ void kpirl_mpc_harden(kpirl_mpc_core *core);
  * for the violation */
 typedef enum { KPIRL_MPC_NOT_RESTORED, KPIRL_MPC_RESTORED, KPIRL_MPC_SHOWN_INFEASIBLE } kpirl_mpc_restoration;
 kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core);
-int kpirl_mpc_looked_convex(const kpirl_mpc_core *core); /* since this attempt or restoration began */
 
 /* attempts: one after the other, until one is not stuck */
 kpirl_mpc_status kpirl_mpc_attempt(kpirl_mpc_core *core, const kpirl_mpc_start *start);

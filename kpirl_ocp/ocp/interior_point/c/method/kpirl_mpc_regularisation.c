@@ -38,6 +38,7 @@ int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation, int 
     kpirl_mpc_newton_step(core, rho);
     indefinite = 0;
   }
+  if (rho > regularisation) core->indefinite = 1;
   if (rho > 0) core->regularisation = rho;
   return 1;
 }
