@@ -32,8 +32,7 @@ static void begin_barrier_problem(kpirl_mpc_core *core, real tau) {
   kpirl_mpc_start_filter(core);
 }
 
-/* Where every Hessian was positive, the violation behaves like a convex one, whose stationary points are its minima. There, and where the
- * barrier problem is solved: do all its logarithms together, of which each leaves at most tau of a convex problem's penalty,
+/* Where the barrier problem is solved: do all its logarithms together, of which each leaves at most tau of a convex problem's penalty,
  * leave little of it? Then most of the violation cannot go. */
 static int beyond_duality_gap(const kpirl_mpc_core *core) {
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
@@ -88,22 +87,33 @@ static kpirl_mpc_restoration raise_penalty(kpirl_mpc_core *core, real factor, re
   return descend(core, core->tau, enough);
 }
 
-/* With a first and a last penalty for these sizes of rows, from where the iterate is. */
-static kpirl_mpc_restoration restore_scaled(kpirl_mpc_core *core) {
-  const real gradient = kpirl_mpc_norm_inf(core->d.cost_gradient, kpirl_mpc_n_point(core)), enough = LEFT * violation(core);
-  const real scale = gradient > 0 ? gradient : 1;
-  kpirl_mpc_restoration result;
+/* The gradient of J, for penalties. Begin without costates: those of J are none of a penalty's. */
+static real begin(kpirl_mpc_core *core) {
+  const real gradient = kpirl_mpc_norm_inf(core->d.cost_gradient, kpirl_mpc_n_point(core));
   core->regularisation = 0;
   core->indefinite = 0;
   memset(core->at.costates, 0, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
-  result = restore_with(core, FIRST * scale, enough);
+  return gradient > 0 ? gradient : 1;
+}
+
+/* With a first and a last penalty for these sizes of rows, from where the iterate is. */
+static kpirl_mpc_restoration restore_scaled(kpirl_mpc_core *core) {
+  const real scale = begin(core), enough = LEFT * violation(core);
+  const kpirl_mpc_restoration result = restore_with(core, FIRST * scale, enough);
   if (result == KPIRL_MPC_RESTORED) return result;
   if (result == KPIRL_MPC_SHOWN_INFEASIBLE && !core->indefinite) return raise_penalty(core, LAST / FIRST, enough);
   return restore_with(core, LAST * scale, enough);
 }
 
-/* What is stationary for violations in units of their gradients may not be for violations as they were stated, unless they are convex:
- * both have to say so before a problem is called infeasible. */
+static int all_ones(const real *values, int count) {
+  int i;
+  for (i = 0; i < count; ++i)
+    if (values[i] != 1) return 0;
+  return 1;
+}
+
+/* What is stationary for violations in units of their gradients may not be for violations as they were stated: both have to say
+ * so before a problem is called infeasible. */
 kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core) {
   const int rows = kpirl_mpc_n_inequalities(core) + kpirl_mpc_n_equalities(core);
   kpirl_mpc_restoration result;
@@ -111,9 +121,9 @@ kpirl_mpc_restoration kpirl_mpc_restore(kpirl_mpc_core *core) {
   kpirl_mpc_measure_rows(core);
   if (!kpirl_mpc_has_elastic(core) || !(violation(core) > core->tolerance)) return KPIRL_MPC_NOT_RESTORED;
   result = restore_scaled(core);
-  if (result == KPIRL_MPC_SHOWN_INFEASIBLE && core->indefinite) {
+  if (result == KPIRL_MPC_SHOWN_INFEASIBLE && !all_ones(core->row_sizes, rows)) {
     for (i = 0; i < rows; ++i) core->row_sizes[i] = 1;
-    result = restore_scaled(core);
+    result = core->indefinite ? restore_scaled(core) : restore_with(core, LAST * begin(core), LEFT * violation(core));
   }
   kpirl_mpc_harden(core);
   return result;
