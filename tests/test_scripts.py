@@ -242,8 +242,8 @@ WRONG = {  # words, beginning of the sentence
     "reproduce_paper.py --jobs 1.5": "--jobs: expected a whole number of at least 1, got '1.5'.",
     "reproduce_paper.py --models nowhere": "--models: there is no directory 'nowhere'.",
     "reproduce_paper.py --backend sky": "--backend: expected one of loky, dask, ray, got 'sky'.",
-    "stress_test.py --only peers livse": "--only: expected one of certificates, peers, statuses, starts, units, lives, "
-    "kills, got 'livse': did you mean 'lives'?",
+    "stress_test.py --only peers livse": "--only: expected one of certificates, peers, statuses, starts, units, "
+    "obstacles, lives, kills, got 'livse': did you mean 'lives'?",
     "reference_suite.py --only nothing": "--only: there is no problem 'nothing'",
     "reference_suite.py --out /proc/x": "--out: cannot write to '/proc/x': No such file or directory.",
 }

@@ -7,7 +7,7 @@ from reference import REFERENCES
 from reference.checks import coarse, solve
 from units import drawn_units, in_units, start_in_units
 
-from kpirl_ocp import OCP, Riccati
+from kpirl_ocp import OCP, Riccati, Status
 
 PROBLEMS = {reference.name: reference for reference in REFERENCES}
 DRAWN = [
@@ -17,17 +17,32 @@ DRAWN = [
     ("glider", 8),
     ("rocket landing in a cone", 1),
     ("rocket landing in a cone", 4),
+    ("brachistochrone", 8),
+    ("particle steering", 1),
 ]
+
+
+def solved_in_drawn_units(case, seed):
+    """The solution, and the units."""
+    problem, units = case.problem, drawn_units(case.problem, seed)
+    s0, guess = start_in_units(problem, problem.inputs(case.s0, case.psi, ())[0], case.guess, units)
+    return Riccati().solve(in_units(problem, **units), s0, case.psi, guess=guess), units
 
 
 @pytest.mark.parametrize(("name", "seed"), DRAWN)
 def test_a_classic_problem_is_solved_in_units_that_are_drawn(name, seed):
+    """Of the brachistochrone and the particle, rounding of stiff rows makes a pivot negative at the minimum."""
     case = coarse(PROBLEMS[name])
-    problem, units = case.problem, drawn_units(case.problem, seed)
-    s0, guess = start_in_units(problem, problem.inputs(case.s0, case.psi, ())[0], case.guess, units)
-    found = Riccati().solve(in_units(problem, **units), s0, case.psi, guess=guess).raise_if_failed()
+    found, units = solved_in_drawn_units(case, seed)
     expected = solve(case, Riccati()).raise_if_failed()
-    np.testing.assert_allclose(found.objective / units["cost"], expected.objective, rtol=1e-6)
+    np.testing.assert_allclose(found.raise_if_failed().objective / units["cost"], expected.objective, rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [18, 34])
+def test_a_point_far_from_feasible_is_not_infeasible_for_the_units_that_it_is_in(seed):
+    """A chain hangs where it can; its states are 1e3 to 1e5 here, so that no gradient by them is large."""
+    found, _ = solved_in_drawn_units(coarse(PROBLEMS["hanging chain"]), seed)
+    assert found.status is not Status.INFEASIBLE
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1e-3, 1.0, 1e3])

@@ -48,8 +48,8 @@ typedef struct kpirl_mpc_derivatives {
 /* A Newton step towards tau, and the longest lengths that keep y and z positive. */
 typedef struct kpirl_mpc_step {
   kpirl_mpc_iterate change;
-  real tau, share, primal_length, dual_length, regularisation; /* share: fraction to the boundary of slacks */
-  real penalty_slope; /* of elastic constraints */
+  real tau, share, primal_length, dual_length, regularisation, slope; /* share: fraction to the boundary of slacks */
+  real penalty_slope; /* of elastic constraints; slope: of phi along the last step that was taken */
   int positive; /* is the Hessian along the dynamics? */
 } kpirl_mpc_step;
 

@@ -122,6 +122,7 @@ static int move_along(kpirl_mpc_core *core, real least) {
         (isfinite(trial.phi) && trial.theta >= before.theta && kpirl_mpc_off_dynamics(core) &&
          corrected_fits(core, before, slope, length, price))) {
       core->step.primal_length = length;
+      core->step.slope = slope;
       forget_heavy_multipliers(core);
       kpirl_mpc_accept_trial(core, KPIRL_MPC_SECOND);
       return 1;

@@ -47,18 +47,24 @@ static int beyond_duality_gap(const kpirl_mpc_core *core) {
   return logarithms * core->tau < LITTLE * core->penalty * sum;
 }
 
+/* Was the last step a whole one, which promised less than tau? Residuals alone depend on the units of x. */
+static int settled(const kpirl_mpc_core *core) { return core->step.primal_length == 1 && -core->step.slope <= core->tau; }
+
 /* Solve barrier problems of falling tau, down to the last, until no violation is larger than `enough`. */
 static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real last, real enough) {
+  int solved = 0;
   for (;;) {
     if (violation(core) <= enough) return KPIRL_MPC_RESTORED;
-    if (kpirl_mpc_subproblem_solved(core)) {
+    if (solved && kpirl_mpc_subproblem_solved(core)) {
       if (core->tau <= last || (!core->indefinite && beyond_duality_gap(core))) return KPIRL_MPC_SHOWN_INFEASIBLE;
       begin_barrier_problem(core, LOWERED * core->tau);
+      solved = 0;
       continue;
     }
     if (core->iterations >= core->options.max_iterations || kpirl_mpc_core_out_of_time(core)) return KPIRL_MPC_NOT_RESTORED;
     core->trials = 0;
     if (!kpirl_mpc_newton_iterate(core, 0)) return KPIRL_MPC_NOT_RESTORED;
+    solved = settled(core);
     kpirl_mpc_log_iteration(core);
     ++core->iterations;
   }

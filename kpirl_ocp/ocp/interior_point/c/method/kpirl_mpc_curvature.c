@@ -7,6 +7,7 @@
 #include <string.h>
 
 static const real SHORTENED = (real)0.25; /* from one length to the next */
+static const real SURE = (real)0.5;       /* of the curvature -1 that a negative pivot stands for */
 static const real FLAT = (real)1e-8;      /* curvature, relative to the largest, that counts as none */
 
 real kpirl_mpc_largest_curvature(const kpirl_mpc_core *core) {
@@ -46,6 +47,25 @@ static int find_negative_curvature(kpirl_mpc_core *core) {
   return kpirl_mpc_all_finite(change->x, kpirl_mpc_n_point(core));
 }
 
+/* The curvature along the step, term by term. With stiff rows rounding may have made a pivot negative. */
+static real curvature_along(kpirl_mpc_core *core) {
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+  const kpirl_mpc_iterate *change = &core->step.change;
+  real *work = core->right, *fixing = core->trial.nu, sum = 0;
+  int i, t;
+  memset(work, 0, (size_t)kpirl_mpc_n_point(core) * sizeof(real));
+  for (t = 0; t <= T; ++t)
+    kpirl_mpc_symmetric_times_vector(core->d.H + t * n_x * n_x, t < T ? n_x : n_s, change->x + t * n_x, work + t * n_x);
+  sum = kpirl_mpc_dot(change->x, work, kpirl_mpc_n_point(core));
+  for (i = 0; i < m; ++i) sum += core->weights[i] * change->y[i] * change->y[i];
+  memset(fixing, 0, (size_t)n_c * sizeof(real));
+  for (i = 0; i < core->n_fixed; ++i) fixing[i] = change->x[core->fixed[i]];
+  kpirl_mpc_equality_times(core, change->x, fixing + core->n_fixed);
+  for (i = 0; i < n_c; ++i) sum += core->stiffness[i] * fixing[i] * fixing[i];
+  return sum;
+}
+
 static void turn(kpirl_mpc_core *core) {
   const int n_w = kpirl_mpc_n_point(core), m = kpirl_mpc_n_inequalities(core);
   int i;
@@ -70,13 +90,14 @@ static int move_off(kpirl_mpc_core *core, real shortest) {
   return 0;
 }
 
-/* At a point that meets the first-order conditions: 0 where it is a minimum, a flat one too, 1 where it is none and was left, -1
- * where it is none and no way led down from it, be it as short as `shortest` times the direction. */
+/* At a point that meets the first-order conditions: 0 where it is a minimum, a flat one too, or rounding hides what it is; 1 where it is
+ * none and was left, -1 where it is none and no way led down from it, be it as short as `shortest` times the direction. */
 int kpirl_mpc_escape(kpirl_mpc_core *core, real shortest) {
   kpirl_mpc_step *step = &core->step;
   core->trials = 0;
   if (kpirl_mpc_factorise(core, 0) || kpirl_mpc_factorise(core, FLAT * kpirl_mpc_largest_curvature(core))) return 0;
   if (!find_negative_curvature(core)) return -1;
+  if (curvature_along(core) > -SURE) return 0;
   step->tau = core->tau;
   step->share = KPIRL_MPC_BOUNDARY;
   step->dual_length = 0;
