@@ -50,16 +50,20 @@ static int beyond_duality_gap(const kpirl_mpc_core *core) {
 /* Was the last step a whole one, which promised less than tau? Residuals alone depend on the units of x. */
 static int settled(const kpirl_mpc_core *core) { return core->step.primal_length == 1 && -core->step.slope <= core->tau; }
 
-/* Solve barrier problems of falling tau, down to the last, until no violation is larger than `enough`. */
+/* Solve barrier problems of falling tau, down to the last, until no violation is larger than `enough`. In the first, tau weighs as much as
+ * the violation: its solution is of no use. */
 static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real last, real enough) {
-  int solved = 0;
+  int first = 1, solved = 0;
   for (;;) {
     if (violation(core) <= enough) return KPIRL_MPC_RESTORED;
-    if (solved && kpirl_mpc_subproblem_solved(core)) {
-      if (core->tau <= last || (!core->indefinite && beyond_duality_gap(core))) return KPIRL_MPC_SHOWN_INFEASIBLE;
-      begin_barrier_problem(core, LOWERED * core->tau);
-      solved = 0;
-      continue;
+    if (kpirl_mpc_subproblem_solved(core)) {
+      const int final = core->tau <= last || (!core->indefinite && beyond_duality_gap(core));
+      if (final && solved) return KPIRL_MPC_SHOWN_INFEASIBLE;
+      if (!final && (solved || first)) {
+        begin_barrier_problem(core, LOWERED * core->tau);
+        first = solved = 0;
+        continue;
+      }
     }
     if (core->iterations >= core->options.max_iterations || kpirl_mpc_core_out_of_time(core)) return KPIRL_MPC_NOT_RESTORED;
     core->trials = 0;
