@@ -163,7 +163,7 @@ def test_free_durations_that_run_to_their_bounds_are_given_up_soon(start):
     )
     found = Riccati().solve(problem, [0, 0, start, start]).raise_if_failed()
     np.testing.assert_allclose(problem.static_of(found), [2, 1], rtol=1e-6)
-    assert found.iterations <= 80
+    assert found.iterations <= 100
 
 
 def test_infeasible_is_not_said_before_steps_along_the_dynamics_say_so_too():

@@ -19,6 +19,7 @@ DRAWN = [
     ("rocket landing in a cone", 4),
     ("brachistochrone", 8),
     ("particle steering", 1),
+    ("robot arm", 29),
 ]
 
 

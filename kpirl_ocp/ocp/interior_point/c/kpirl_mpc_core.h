@@ -113,6 +113,7 @@ typedef struct kpirl_mpc_core {
   real *states, *actions; /* gathered for functions of the whole horizon */
   real penalty; /* rho of elastic mode, see kpirl_mpc_elastic.c; 0 otherwise */
   real tau, indefinite_tau, escaped_tau; /* tau to go back to where the Hessian is not positive; at which a saddle was left */
+  real first_violation;        /* sum over all constraints, as they were stated, where the first attempt began */
   real start_tau, most_violation, most_gradient; /* tau at the beginning; the largest violation and gradient since */
   real tolerance, regularisation, best[3]; /* best: the smallest residuals so far */
   double started;

@@ -7,6 +7,7 @@
 #include <string.h>
 
 static const real WARM = (real)1e-3; /* largest tau of a warm start */
+static const real FAR_OFF = 10;      /* violation, relative to that of the guess */
 static const int RESTORATIONS = 5;   /* in one attempt */
 static const real MUCH = 10;         /* regularisation, in units of the Hessian where it is small, of one that is far from positive */
 
@@ -20,6 +21,19 @@ static real warm_barrier(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   kpirl_mpc_find_residuals(core, 0, &residuals);
   error = kpirl_mpc_worst(&residuals);
   return isfinite(error) ? kpirl_mpc_min(kpirl_mpc_max(error, final), WARM) : WARM;
+}
+
+/* The sum of all violations, as they were stated. */
+static real stated_violation(const kpirl_mpc_core *core) {
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core), n_s = DIM(core, n_states);
+  const int n_d = DIM(core, horizon) * n_s;
+  real sum = 0;
+  int i;
+  for (i = 0; i < m; ++i) sum += kpirl_mpc_max(core->d.g[i], 0);
+  for (i = 0; i < n_c; ++i) sum += kpirl_mpc_abs(core->d.c[i]);
+  for (i = 0; i < n_d; ++i) sum += kpirl_mpc_abs(core->d.defects[i]);
+  for (i = 0; i < n_s; ++i) sum += kpirl_mpc_abs(core->d.gap[i]);
+  return sum;
 }
 
 /* With the multipliers of the start. */
@@ -67,13 +81,16 @@ int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core) {
          kpirl_mpc_norm_in_sizes(core, core->d.defects, DIM(core, horizon)) > core->filter.small;
 }
 
+/* Are constraints violated far more than where the method began? What is stationary there says nothing of the problem. */
+static int far_off(const kpirl_mpc_core *core) { return stated_violation(core) > FAR_OFF * core->first_violation; }
+
 /* With feasibility restoration where the method gets stuck. A point off the dynamics would show nothing of others. */
 static kpirl_mpc_status converge_restoring(kpirl_mpc_core *core) {
   kpirl_mpc_status status = kpirl_mpc_converge(core);
   int i;
   for (i = 0; i < RESTORATIONS && stuck(status); ++i) {
     const kpirl_mpc_restoration restoration = kpirl_mpc_restore(core);
-    if (restoration == KPIRL_MPC_SHOWN_INFEASIBLE) return KPIRL_MPC_INFEASIBLE;
+    if (restoration == KPIRL_MPC_SHOWN_INFEASIBLE) return far_off(core) ? KPIRL_MPC_STALLED : KPIRL_MPC_INFEASIBLE;
     if (core->iterations >= core->options.max_iterations) return KPIRL_MPC_ITERATION_LIMIT;
     if (kpirl_mpc_core_out_of_time(core)) return KPIRL_MPC_TIME_LIMIT;
     if (restoration == KPIRL_MPC_NOT_RESTORED) return status;
@@ -157,6 +174,7 @@ static kpirl_mpc_status lift(kpirl_mpc_core *core, const kpirl_mpc_start *guess)
   int bare;
   core->lifted = 1;
   begin_cold(core, guess);
+  core->first_violation = stated_violation(core);
   core->factored = core->factored || kpirl_mpc_factorise(core, 0);
   bare = core->factored && has_costates(core);
   status = take_one(core);

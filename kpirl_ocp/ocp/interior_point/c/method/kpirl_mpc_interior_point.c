@@ -11,7 +11,7 @@
 static const real SHORTEST = (real)1e-10;  /* step off a point that is no minimum */
 static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
 static const real CREEPING = (real)1e-2;  /* length of a step that leads nowhere if it is one of */
-static const int LONG = 20;               /* so many, one after the other */
+static const int LONG = 40;               /* so many, one after the other */
 
 static int all_known(const kpirl_mpc_core *core) {
   const kpirl_mpc_derivatives *d = &core->d;
