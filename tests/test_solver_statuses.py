@@ -15,7 +15,7 @@ from problems import integrator
 from statements import D, S, T, U, state
 
 from kpirl_ocp import OCP, SQP, Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory
-from kpirl_ocp.ocp.problem.threads import one_at_a_time
+from kpirl_ocp.ocp.problem.threads import dense, one_at_a_time
 
 SOLVERS = [Ipopt(), Fatrop(), SQP()]
 LINEAR = ca.vertcat(S[0] + 0.1 * S[1], S[1] + 0.1 * U)
@@ -180,6 +180,18 @@ def test_ctrl_c_that_comes_while_casadi_hands_over_numbers_is_ctrl_c(cause):
 
     with pytest.raises(KeyboardInterrupt if isinstance(cause, KeyboardInterrupt) else SystemError):
         convert()
+
+
+def test_ctrl_c_that_casadi_drops_while_it_converts_numbers_is_ctrl_c():
+    """DM.full gives None where an exception came meanwhile."""
+
+    class Dropped:
+        def full(self):
+            return None
+
+    with pytest.raises(KeyboardInterrupt):
+        dense(Dropped())
+    np.testing.assert_array_equal(dense(ca.DM([[1, 0], [0, 2]])), [[1, 0], [0, 2]])
 
 
 def solve_for(seconds, solver, problem):

@@ -21,6 +21,7 @@ from kpirl_ocp.ocp.problem.layout import (
     pack,
 )
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.threads import dense
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Trajectory, largest, max_or_nan
 
 
@@ -30,8 +31,8 @@ def audit(
     """Measure the first-order conditions at a point; a function that is not finite there gives NaN residuals."""
     program, bounds = transcribe(problem), BoundRows.of(*limits(problem))
     w, lam, mu = pack(trajectory), equality_multipliers(multipliers), inequality_multipliers(multipliers)
-    objective, g_E, g_I = (value.full().ravel() for value in program.values(w, psi, context))
-    cost_gradient, gradient = (value.full().ravel() for value in program.first(w, psi, context, lam, mu))
+    objective, g_E, g_I = (dense(value).ravel() for value in program.values(w, psi, context))
+    cost_gradient, gradient = (dense(value).ravel() for value in program.first(w, psi, context, lam, mu))
     rows, decided = Inequalities.at(bounds, w, g_I), ~given(problem)
     forces, unequal = rows.forces(bound_multipliers(multipliers), mu, barrier), ~rows.equal
     push = bounds.net_force(forces[: len(bounds.entries)], len(w))

@@ -18,6 +18,7 @@ from kpirl_ocp.ocp.conditions.program import transcribe
 from kpirl_ocp.ocp.problem.constraints import BoundRows, Inequalities
 from kpirl_ocp.ocp.problem.layout import given, limits, pack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.threads import dense
 from kpirl_ocp.types import Array, Multipliers, Trajectory
 
 _NEAR = 0.1  # multipliers are zero where the slack is larger: their product, which has to be small, shows them
@@ -32,20 +33,20 @@ def estimate_multipliers(problem: OCP, psi: Array, context: Array, trajectory: T
     """
     w, bounds, decided = pack(trajectory), BoundRows.of(*limits(problem)), np.flatnonzero(~given(problem)).tolist()
     slope, A, g, g_w = _slopes(problem)(w, psi, context)
-    slack = Inequalities.at(bounds, w, g.full().ravel()).slack
+    slack = Inequalities.at(bounds, w, dense(g).ravel()).slack
     near = np.flatnonzero(slack <= _NEAR)
     normals = ca.vertcat(_sides(bounds, len(w)), g_w)[near.tolist(), :]
     columns, slopes = ca.horzcat(slope, normals.T)[decided, :], A.T[decided, :]
     if not (columns.is_regular() and slopes.is_regular()):
         return None
     taken = _least_squares(slopes, columns)
-    found = _non_negative((columns - slopes @ taken).full(), slack[near])
+    found = _non_negative(dense(columns - slopes @ taken), slack[near])
     if found is None:
         return None
     mu = np.zeros(len(slack))
     mu[near] = found
     forces, of_rows = np.split(mu, [len(bounds.entries)])
-    lam = -taken.full() @ np.append(1.0, found)
+    lam = -dense(taken) @ np.append(1.0, found)
     return unpack_multipliers(problem, bounds.net_force(forces, len(w)), lam, of_rows)
 
 

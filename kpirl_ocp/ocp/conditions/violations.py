@@ -9,6 +9,7 @@ import numpy as np
 from kpirl_ocp.ocp.conditions.program import transcribe
 from kpirl_ocp.ocp.problem.layout import limits, pack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
+from kpirl_ocp.ocp.problem.threads import dense
 from kpirl_ocp.types import Array, Multipliers, Solution, Trajectory
 
 _STATED = {
@@ -26,7 +27,7 @@ def violations(problem: OCP, psi: Array, context: Array, trajectory: Trajectory)
     """By how much each constraint is violated, in its own units: arrays that belong to rows as multipliers do."""
     w = pack(trajectory)
     lower, upper = limits(problem)
-    _, g_E, g_I = (value.full().ravel() for value in transcribe(problem).values(w, psi, context))
+    _, g_E, g_I = (dense(value).ravel() for value in transcribe(problem).values(w, psi, context))
     beyond = np.maximum(np.maximum(lower - w, w - upper), 0)
     return unpack_multipliers(problem, beyond, np.abs(g_E), np.maximum(g_I, 0))
 

@@ -2,7 +2,7 @@
 crash the process.
 
 Solvers that run in CasADi take turns; `Riccati` and `GradientDescent` run compiled code and need not. If Ctrl-C comes
-while CasADi converts numbers, it raises SystemError; here that becomes KeyboardInterrupt again.
+while CasADi converts numbers, it raises SystemError, or gives None; here both become KeyboardInterrupt again.
 """
 
 from __future__ import annotations
@@ -11,6 +11,11 @@ import threading
 from collections.abc import Callable
 from functools import wraps
 from typing import ParamSpec, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from kpirl_ocp.types import Array
 
 _lock = threading.RLock()
 _P = ParamSpec("_P")
@@ -31,3 +36,11 @@ def one_at_a_time(method: Callable[_P, _R]) -> Callable[_P, _R]:
                 raise
 
     return guarded
+
+
+def dense(matrix: ca.DM) -> Array:
+    """The numbers (rows, columns) of a matrix; raises KeyboardInterrupt where CasADi dropped it and gave none."""
+    numbers = matrix.full()
+    if numbers is None:
+        raise KeyboardInterrupt
+    return np.asarray(numbers, float)

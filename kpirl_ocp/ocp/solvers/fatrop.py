@@ -22,7 +22,7 @@ from kpirl_ocp.ocp.problem.layout import by_stage, lengths, pack, split, unpack,
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.problem.statement.checks import check_settings
-from kpirl_ocp.ocp.problem.threads import one_at_a_time
+from kpirl_ocp.ocp.problem.threads import dense, one_at_a_time
 from kpirl_ocp.ocp.solvers.child_process import ChildProcess
 from kpirl_ocp.ocp.solvers.infeasible import shown_infeasible
 from kpirl_ocp.ocp.solvers.instance import Instance
@@ -140,7 +140,7 @@ class _Program:
 
     def point(self, instance: Instance, result: dict[str, ca.DM]) -> tuple[Trajectory, Multipliers]:
         """Trajectory and multipliers that the solver found."""
-        x, on_bounds, on_rows = (result[name].full().ravel() for name in ("x", "lam_x", "lam_g"))
+        x, on_bounds, on_rows = (dense(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
         w, nu = (pack(_by_kind(instance.problem, values)) for values in (x, on_bounds))
 
         def of(*names: str) -> Array:
@@ -156,7 +156,7 @@ def _finite(instance: Instance) -> bool:
     program, at = transcribe(instance.problem), (instance.w, instance.psi, instance.context)
     ones = [np.ones(n) for n in lengths(instance.problem)[1:]]
     values = [*program.values(*at), *program.first(*at, *ones)]
-    return all(np.isfinite(value.full()).all() for value in values)
+    return all(np.isfinite(dense(value)).all() for value in values)
 
 
 def _by_kind(problem: OCP, x: Array) -> Trajectory:

@@ -16,6 +16,7 @@ from kpirl_ocp.ocp.conditions.violations import explained
 from kpirl_ocp.ocp.problem.layout import bound_multipliers, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, numbers_of
+from kpirl_ocp.ocp.problem.threads import dense
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 
@@ -61,7 +62,7 @@ class Instance:
 
     def point(self, result: dict[str, ca.DM]) -> tuple[Trajectory, Multipliers]:
         """Trajectory and multipliers that `casadi.nlpsol` found with these arguments."""
-        w, nu, lam = (result[name].full().ravel() for name in ("x", "lam_x", "lam_g"))
+        w, nu, lam = (dense(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
         multipliers = unpack_multipliers(self.problem, nu, *np.split(lam, [transcribe(self.problem).n_equalities]))
         return trajectory_of(self.problem, w, self.s0), multipliers
 
