@@ -94,8 +94,8 @@ void kpirl_mpc_accept_trial(kpirl_mpc_core *core, int level);
  * what the step does to it; the end of it. */
 int kpirl_mpc_is_elastic(const kpirl_mpc_core *core, int row);
 int kpirl_mpc_has_elastic(const kpirl_mpc_core *core); /* is there one that could be? */
-void kpirl_mpc_measure_rows(kpirl_mpc_core *core);
-int kpirl_mpc_too_heavy(kpirl_mpc_core *core, const real *multipliers, int first, int count); /* of rows from the first on */ /* before elastic mode begins */
+void kpirl_mpc_measure_rows(kpirl_mpc_core *core); /* before elastic mode begins */
+int kpirl_mpc_too_heavy(kpirl_mpc_core *core, const real *multipliers, int first, int count); /* of rows from the first on */
 real kpirl_mpc_penalty(const kpirl_mpc_core *core, const real *g, const real *c);
 void kpirl_mpc_relax(kpirl_mpc_core *core);
 void kpirl_mpc_elastic_step(kpirl_mpc_core *core);
