@@ -69,6 +69,12 @@ def test_scripts_of_commands_lean_on_the_package_alone():
         assert (name, outside) == (name, [])
 
 
+def test_numbers_of_casadi_are_read_in_one_place():
+    """Where a Ctrl-C that CasADi drops is raised again; a text for users names the method, too."""
+    reading = {path.name for path in ROOT.rglob("*.py") if ".full()" in path.read_text()}
+    assert reading == {"guards.py", "loss.py"}
+
+
 def test_docstrings_of_scripts_begin_with_a_noun_or_a_verb():
     faults = [(path.name, name) for path in SCRIPTS.rglob("*.py") for name in nounless_docstrings(path.read_text())]
     assert faults == []

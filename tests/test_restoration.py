@@ -1,5 +1,8 @@
 """Feasibility restoration: past constraints that leave no room, and the proof that there is no feasible point."""
 
+import runpy
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,6 +12,8 @@ from test_random_statements import Drawing
 
 from kpirl_ocp import OCP, Ipopt, Riccati, Status, Trajectory
 from kpirl_ocp.ocp.conditions.audit import audit
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def around_a_disc(steps=30, dt=0.1, unit=1.0, unit_at_end=1.0):
@@ -65,7 +70,7 @@ def test_infeasible_is_said_of_what_ipopt_finds_infeasible_and_of_nothing_else()
 
 
 def test_the_violation_of_an_infeasible_convex_problem_is_nearly_the_least():
-    """Twelve seconds at a speed of at most 1 leave 3 of the 15 metres to go, and one row more than two cannot have."""
+    """Twelve steps of at most 1 leave 3 of the way to 15; s_1 <= 2 and s_1 >= 3 are 1 apart."""
     s, u = ca.SX.sym("s", 2), ca.SX.sym("u", 2)
     problem = OCP.from_expressions(
         state=s,
@@ -140,27 +145,13 @@ def test_no_unit_of_a_constraint_makes_a_feasible_problem_infeasible(unit, unit_
 
 @pytest.mark.parametrize("start", [1.2, 2.0, 2.2, 7.0])
 def test_free_durations_that_run_to_their_bounds_are_given_up_soon(start):
-    """A car drives for q_1 seconds with a force of at most 1, then brakes for q_2 with 2, from rest to rest at 3.
+    """A car drives with a force of at most 1, then brakes with 2, from rest to rest at 3.
 
     Nothing can be reached in the shortest durations, to which first steps lead: forces of constraints grow a million
     times over there, and waiting until they were 1e12 took 90 to 500 iterations. From 7 s steps of a hundredth and
     less led nowhere in 500. In closed form the durations are 2, 1.
     """
-    n, s, u, q, first = 10, ca.SX.sym("s", 2), ca.SX.sym("u"), ca.SX.sym("q", 2), ca.SX.sym("d")
-    dt, force = ca.if_else(first, q[0], q[1]) / n, ca.if_else(first, u, 2 * (u - 1))
-    problem = OCP.from_expressions(
-        state=s,
-        action=u,
-        static=q,
-        static_bounds=(0.1, 10),
-        stage=first,
-        schedule=(np.arange(2 * n + 1) < n)[:, None],
-        dynamics=ca.vertcat(s[0] + dt * s[1] + dt**2 / 2 * force, s[1] + dt * force),
-        terminal_cost=ca.sum1(q),
-        terminal_equality=s - ca.DM([3, 0]),
-        action_bounds=(0, 1),
-        horizon=2 * n,
-    )
+    problem = runpy.run_path(str(EXAMPLES / "phases.py"))["problem"]
     found = Riccati().solve(problem, [0, 0, start, start]).raise_if_failed()
     np.testing.assert_allclose(problem.static_of(found), [2, 1], rtol=1e-6)
     assert found.iterations <= 100

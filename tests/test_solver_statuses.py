@@ -15,7 +15,7 @@ from problems import integrator
 from statements import D, S, T, U, state
 
 from kpirl_ocp import OCP, SQP, Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory
-from kpirl_ocp.ocp.problem.threads import dense, one_at_a_time
+from kpirl_ocp.ocp.problem.guards import dense, one_at_a_time
 
 SOLVERS = [Ipopt(), Fatrop(), SQP()]
 LINEAR = ca.vertcat(S[0] + 0.1 * S[1], S[1] + 0.1 * U)

@@ -16,9 +16,9 @@ import numpy as np
 
 from kpirl_ocp.ocp.conditions.program import transcribe
 from kpirl_ocp.ocp.problem.constraints import BoundRows, Inequalities
+from kpirl_ocp.ocp.problem.guards import dense, one_at_a_time
 from kpirl_ocp.ocp.problem.layout import equality_multipliers, inequality_multipliers, limits, pack
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.types import Array, Solution
 
 
@@ -37,7 +37,7 @@ def value_of(problem: OCP, solution: Solution) -> float:
         return solution.objective
     w = pack(solution.trajectory)
     _, _, g = transcribe(problem).values(w, solution.psi, solution.context)
-    rows = Inequalities.at(BoundRows.of(*limits(problem)), w, g.full().ravel())
+    rows = Inequalities.at(BoundRows.of(*limits(problem)), w, dense(g).ravel())
     with np.errstate(invalid="ignore", divide="ignore"):
         return float(solution.objective - solution.barrier * np.log(rows.slack[~rows.equal]).sum())
 
@@ -48,7 +48,7 @@ def value_slopes(problem: OCP, solution: Solution) -> ValueSlopes:
     multipliers = solution.multipliers
     duals = equality_multipliers(multipliers), inequality_multipliers(multipliers)
     slopes = _lagrangian_slopes(problem)(pack(solution.trajectory), solution.psi, solution.context, *duals)
-    psi, s0, context = (slope.full().ravel() for slope in slopes)
+    psi, s0, context = (dense(slope).ravel() for slope in slopes)
     return ValueSlopes(psi, np.where(problem.free_start, 0.0, s0), context)
 
 

@@ -16,6 +16,7 @@ from kpirl_ocp.irl.visual.camera_learning import held_points
 from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Keypoint, Robot
 from kpirl_ocp.ocp.models.robot_files import example_urdf
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.perception.data.video import Frames
 from kpirl_ocp.perception.scene.bodies import BOTTLE, FLANGE
 from kpirl_ocp.perception.scene.camera import Camera
@@ -163,7 +164,7 @@ def _on_flange(
 ) -> tuple[Keypoint, ...]:
     """Points (K, 3) of the bottle's frame as keypoints of the link that holds it."""
     world = held @ rotation.T + position
-    turn, shift = (value.full() for value in robot.link_function(flange)(theta))
+    turn, shift = (dense(value) for value in robot.link_function(flange)(theta))
     local = (world - shift.ravel()) @ turn
     return tuple(Keypoint(flange, (x, y, z)) for x, y, z in local.tolist())
 

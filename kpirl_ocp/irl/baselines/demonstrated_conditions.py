@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Demonstration
 
@@ -45,14 +46,14 @@ class DemonstratedConditions:
         u = problem.as_actions(actions).ravel()
         points = np.vstack([np.zeros(problem.n_parameters), np.eye(problem.n_parameters)])
         values = [functions(u, demonstration.s0, psi, demonstration.context) for psi in points]
-        slopes, curvatures = (np.array([value[k].full() for value in values]) for k in (0, 1))
+        slopes, curvatures = (np.array([dense(value[k]) for value in values]) for k in (0, 1))
         found = cls(
             gradients=(slopes[1:, :, 0] - slopes[0, :, 0]).T,
             gradient=slopes[0, :, 0],
             hessians=curvatures[1:] - curvatures[0],
             hessian=curvatures[0],
         )
-        twice = functions(u, demonstration.s0, 2.0 * np.ones(len(points) - 1), demonstration.context)[0].full()
+        twice = dense(functions(u, demonstration.s0, 2.0 * np.ones(len(points) - 1), demonstration.context)[0])
         expected = found.gradient + 2 * found.gradients.sum(axis=1)
         if not np.allclose(twice[:, 0], expected, rtol=_LINEAR, atol=_LINEAR * np.abs(slopes).max()):
             raise ProblemError("this method needs a cost that is linear in psi: positivity='identity' for keypoints.")

@@ -20,6 +20,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.loss import demonstrated_observations
 from kpirl_ocp.ocp.codegen.interrupts import call_solver
 from kpirl_ocp.ocp.conditions.program import transcribe
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.layout import equality_multipliers, given, limits, n_inequalities, pack
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, Solver
@@ -84,5 +85,5 @@ def single_level(
     lower[: len(start)] = np.broadcast_to(np.asarray(least, float), start.shape)
     result = call_solver(ipopt, x0=np.concatenate(guesses), lbx=lower, ubx=np.inf, lbg=0, ubg=0)
     stats = ipopt.stats()
-    learned = result["x"].full().ravel()[: len(start)]
+    learned = dense(result["x"]).ravel()[: len(start)]
     return SingleLevelResult(learned, float(result["f"]), bool(stats["success"]), str(stats["return_status"]))

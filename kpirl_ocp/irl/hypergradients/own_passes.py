@@ -9,6 +9,7 @@ import numpy as np
 
 from kpirl_ocp.ocp.conditions.structure import same_numbers
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.trajectory_passes import TrajectoryPasses
 from kpirl_ocp.types import Array
@@ -46,4 +47,4 @@ def _values(problem: OCP, passes: TrajectoryPasses, columns: int) -> Array:
     rng = np.random.default_rng(0)
     numbers = [_SIZE * rng.normal(size=symbol.shape) for symbol in symbols]
     values = ca.Function("passes", symbols, [ca.densify(ca.veccat(*found))])(*numbers)
-    return values.full().ravel()
+    return dense(values).ravel()

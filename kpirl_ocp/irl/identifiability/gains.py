@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.irl.identifiability.plan_jacobian import observation_jacobians
 from kpirl_ocp.ocp.conditions.stage_derivatives import dynamics_jacobian
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Trajectory
 
@@ -22,7 +23,7 @@ def squared_gains(problem: OCP, trajectory: Trajectory, psi: ArrayLike = (), con
     linearised = dynamics_jacobian(problem).map(problem.horizon)
     numbers = problem.transition_numbers(*(ca.DM(np.asarray(value, float)) for value in (psi, context)))
     blocks = linearised(trajectory.states[:-1].T, trajectory.actions.T, numbers)
-    by_state, by_action = (np.split(block.full(), problem.horizon, axis=1) for block in blocks)
+    by_state, by_action = (np.split(dense(block), problem.horizon, axis=1) for block in blocks)
     slopes = observation_jacobians(problem, trajectory.states)
     gains, moved = [], np.zeros((problem.n_states, 0))  # ds_t/du, one column per action so far
     for f_s, f_u, slope in zip(by_state, by_action, slopes, strict=True):

@@ -20,6 +20,7 @@ from kpirl_ocp.irl.hypergradients.certificate import Hypergradient, enforce
 from kpirl_ocp.irl.hypergradients.implicit import Implicit, differentiate
 from kpirl_ocp.irl.hypergradients.loss import squared_distance
 from kpirl_ocp.irl.hypergradients.unrolled import Unrolled, gradient_alone
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.layout import split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import solve_and_linearise
@@ -108,7 +109,7 @@ class _Planned:
 
     def __init__(self, problem: OCP, demonstration: Demonstration, plan: Solution) -> None:
         self._start = demonstration
-        self.observations = problem.observe(plan.states.T).full().T
+        self.observations = dense(problem.observe(plan.states.T)).T
 
     def shifted(self, direction: Array) -> Demonstration:
         """The plan minus half of direction (T n_z,): its loss |z - z_demo|^2 has the gradient (dz/dpsi)^T direction."""
@@ -123,12 +124,12 @@ class _Planned:
 
 def observed(problem: OCP, states: Array) -> Array:
     """z_1 .. z_T (T n_z,) of states (T+1, n_s)."""
-    return problem.observe(states.T).full().T[1:].ravel()
+    return dense(problem.observe(states.T)).T[1:].ravel()
 
 
 def observation_jacobians(problem: OCP, states: Array) -> Array:
     """dz_t/ds_t (T, n_z, n_s), t = 1 .. T."""
-    slopes = _observation_slope(problem).map(problem.horizon)(states[1:].T).full()
+    slopes = dense(_observation_slope(problem).map(problem.horizon)(states[1:].T))
     return slopes.T.reshape(problem.horizon, problem.n_states, problem.n_observations).transpose(0, 2, 1)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.learning.evaluation import evaluate
 from kpirl_ocp.irl.learning.margins import Rule, largest_margin
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.pictures import Brief
@@ -119,7 +120,7 @@ def _check_cost(problem: OCP, demonstration: Demonstration) -> None:
 
 
 def _features_of(problem: OCP, states: Array, demonstration: Demonstration, discount: float) -> Array:
-    return features(problem.observe(states.T).full().T, demonstration, discount)
+    return features(dense(problem.observe(states.T)).T, demonstration, discount)
 
 
 def _random_plan(

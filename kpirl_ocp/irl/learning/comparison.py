@@ -23,6 +23,7 @@ from kpirl_ocp.irl.hypergradients.unrolled import Truncated, Unrolled
 from kpirl_ocp.irl.learning.learn import learn
 from kpirl_ocp.irl.learning.optimisers import Adam
 from kpirl_ocp.irl.learning.result import LearningResult
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 from kpirl_ocp.reporting import deaf_pool, pool_ending
@@ -78,7 +79,7 @@ def largest_curvature(problem: OCP, demonstration: Demonstration, psi: Array) ->
     product = ca.Function("product", [u, v], [ca.jtimes(slope, u, v)])
     direction, value = np.random.default_rng(0).normal(size=solution.actions.size), 0.0
     for _ in range(_PRODUCTS):
-        direction = product(solution.actions.ravel(), direction / np.linalg.norm(direction)).full().ravel()
+        direction = dense(product(solution.actions.ravel(), direction / np.linalg.norm(direction))).ravel()
         value = float(np.linalg.norm(direction))
     return value
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of, squared_distance
 from kpirl_ocp.irl.learning.horizons import Problems, problems_of
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Demonstration, Mask, Solution
@@ -50,7 +51,7 @@ def evaluate(
     losses, distances = [], []
     for (own, demo), plan in zip(rows, solutions, strict=True):
         losses.append(float(loss(own)(plan.states.T, plan.actions.T, data_of(loss, own, demo))))
-        distances.append(relative_distance(own.observe(plan.states.T).full().T, demo))
+        distances.append(relative_distance(dense(own.observe(plan.states.T)).T, demo))
     return Evaluation(solutions, np.array(losses), np.array(distances))
 
 

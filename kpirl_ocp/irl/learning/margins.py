@@ -11,6 +11,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.types import Array
 
 Rule = Callable[[Array, Array], tuple[Array, float]]
@@ -57,6 +58,6 @@ def _shortest(rows: Array) -> Array:
     structure = {"h": ca.Sparsity.diag(n), "a": ca.Sparsity.dense(*rows.shape)}
     solver = ca.conic("max_margin", "daqp", structure, {"error_on_fail": False, "print_time": False})
     result = solver(h=ca.DM.eye(n), g=0, a=rows / size, lba=1, uba=np.inf)  # tolerances mean the same in all units
-    psi = result["x"].full().ravel()
+    psi = dense(result["x"]).ravel()
     length, holds = np.linalg.norm(psi), (rows @ psi >= (1 - 1e-6) * size).all()  # DAQP passes over rows of zeros
     return psi / length if solver.stats()["success"] and holds else np.zeros(n)

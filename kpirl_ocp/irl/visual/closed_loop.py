@@ -23,6 +23,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.visual.demonstrations import positions
 from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Sight, Solution, Trajectory
@@ -128,7 +129,7 @@ class KeypointController:
 
     def _predict(self, state: Array, u: Array) -> Array:
         """The state (n_s,) that the model expects after u."""
-        return self.problem.transition(state, u, self.cost.psi).full().ravel()
+        return dense(self.problem.transition(state, u, self.cost.psi)).ravel()
 
     def _plan_on(self, state: Array, remaining: Array, goal: Array, steps_taken: int) -> Solution:
         """plan(state | remaining)."""

@@ -11,6 +11,7 @@ from kpirl_ocp.irl.cases.tasks import tracking_problem
 from kpirl_ocp.irl.visual.camera_learning import path_distance
 from kpirl_ocp.ocp.models.keypoint_problems import visible_keypoints
 from kpirl_ocp.ocp.models.robot import Robot
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, Demonstration
 
@@ -90,4 +91,4 @@ def _image_jacobian(setting: ArmSetting, robot: Robot, theta: Array) -> tuple[Ar
     symbol = ca.SX.sym("theta", robot.n_joints)
     pixels = visible_keypoints(robot, setting.camera, symbol)
     places, jacobian = ca.Function("pixels", [symbol], [pixels, ca.jacobian(pixels, symbol)])(theta)
-    return places.full().reshape(-1, 2), jacobian.full()
+    return dense(places).reshape(-1, 2), dense(jacobian)

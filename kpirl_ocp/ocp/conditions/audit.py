@@ -12,6 +12,7 @@ import numpy as np
 
 from kpirl_ocp.ocp.conditions.program import transcribe
 from kpirl_ocp.ocp.problem.constraints import BoundRows, Inequalities
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.layout import (
     bound_multipliers,
     equality_multipliers,
@@ -21,7 +22,6 @@ from kpirl_ocp.ocp.problem.layout import (
     pack,
 )
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.threads import dense
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Trajectory, largest, max_or_nan
 
 

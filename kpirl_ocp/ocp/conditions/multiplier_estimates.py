@@ -16,9 +16,9 @@ import numpy as np
 
 from kpirl_ocp.ocp.conditions.program import transcribe
 from kpirl_ocp.ocp.problem.constraints import BoundRows, Inequalities
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.layout import given, limits, pack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.threads import dense
 from kpirl_ocp.types import Array, Multipliers, Trajectory
 
 _NEAR = 0.1  # multipliers are zero where the slack is larger: their product, which has to be small, shows them

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_built
 from kpirl_ocp.ocp.conditions.polynomials import is_polynomial
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array, Solution
 
@@ -119,7 +120,7 @@ def _affine(coefficients: _Coefficients) -> _Affine:
     rows, columns = (np.array(places, int) for places in slopes.sparsity().get_triplet())
     values = np.array(slopes.nonzeros())
     nonzero = values != 0
-    constants = np.stack([constant.full().ravel() for constant in a])
+    constants = np.stack([dense(constant).ravel() for constant in a])
     return _Affine(constants, rows[nonzero], columns[nonzero], values[nonzero])
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from kpirl_ocp.ocp.conditions.polynomials import is_affine_in, is_polynomial, is_quadratic_in
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.linearised_dynamics import depends_on_psi
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
@@ -50,7 +51,7 @@ def own_derivatives_agree(problem: OCP) -> bool:
     )
     rng = np.random.default_rng(0)
     numbers = [_SIZE * rng.normal(size=own.size1_in(i)) for i in range(own.n_in())]
-    return same_numbers(own(*numbers).full(), known(*numbers).full())
+    return same_numbers(dense(own(*numbers)), dense(known(*numbers)))
 
 
 def same_numbers(given: Array, expected: Array) -> bool:

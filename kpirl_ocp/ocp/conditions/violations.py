@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from kpirl_ocp.ocp.conditions.program import transcribe
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.layout import limits, pack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.threads import dense
-from kpirl_ocp.types import Array, Multipliers, Solution, Trajectory
+from kpirl_ocp.types import Array, Multipliers, Solution, Status, Trajectory
 
 _STATED = {
     "dynamics": "dynamics",
@@ -33,7 +33,9 @@ def violations(problem: OCP, psi: Array, context: Array, trajectory: Trajectory)
 
 
 def explained(problem: OCP, found: Solution) -> Solution:
-    """An infeasible solution that says which constraint it violates most."""
+    """The solution; an infeasible one says which constraint it violates most."""
+    if found.status is not Status.INFEASIBLE:
+        return found
     worst = worst_violation(problem, found.psi, found.context, found.trajectory)
     return replace(found, message="; ".join(filter(None, [found.message, worst])))
 
@@ -41,22 +43,24 @@ def explained(problem: OCP, found: Solution) -> Solution:
 def worst_violation(problem: OCP, psi: Array, context: Array, trajectory: Trajectory) -> str:
     """The largest violation in a sentence, as "path_constraint[2] at step 7 is violated most, by 0.31".
 
-    Empty where no constraint is violated, or one is not finite.
+    Empty where no constraint is violated.
     """
     rows = vars(violations(problem, psi, context, trajectory))
     name = max(rows, key=lambda name: np.max(rows[name], initial=0.0))
     size = np.max(rows[name], initial=0.0)
-    if not 0 < size < np.inf:
+    if size == 0:
         return ""
     *step, row = (int(i) for i in np.unravel_index(rows[name].argmax(), rows[name].shape))
     return f"{_stated(problem, name, row)} at {_when(problem, name, step)} is violated most, by {size:.3g}"
 
 
 def _stated(problem: OCP, name: str, row: int) -> str:
-    """A row as `OCP.from_expressions` was given it."""
+    """A row by the argument of `OCP.from_expressions` that states it; rows of h that hold at s_T come first there."""
     if name == "terminal" and row < len(problem.state_rows):
-        return f"path_constraint[{problem.state_rows[row]}]"
-    return f"{_STATED[name]}[{row - len(problem.state_rows) if name == 'terminal' else row}]"
+        name, row = "path", problem.state_rows[row]
+    elif name == "terminal":
+        row -= len(problem.state_rows)
+    return f"{_STATED[name]}[{row}]"
 
 
 def _when(problem: OCP, name: str, step: list[int]) -> str:

@@ -12,6 +12,7 @@ from kpirl_ocp.ocp.codegen.target import Target
 from kpirl_ocp.ocp.codegen.templates import LICENCE, PREFIX
 from kpirl_ocp.ocp.export.constants import numbers
 from kpirl_ocp.ocp.interior_point import results
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.types import Array, Solution, Status
@@ -36,7 +37,7 @@ def record(problem: OCP, solver: Solver, psi: Array, s0: ArrayLike, context: Arr
     """Solve from s0, then from the next state, for an example of s0 (n_s,) and context (n_c,)."""
     start, psi, goal = problem.inputs(s0, psi, context)
     cold = solver.solve(problem, start, psi, goal)
-    after = problem.dynamics(start, cold.actions[0], psi, goal, np.asarray(problem.schedule)[0]).full().ravel()
+    after = dense(problem.dynamics(start, cold.actions[0], psi, goal, np.asarray(problem.schedule)[0])).ravel()
     if not cold.status.ok:  # there is nothing to continue from
         return Record(start, goal, start, cold, cold)
     return Record(start, goal, after, cold, solver.solve(problem, after, psi, goal, guess=cold))

@@ -53,7 +53,7 @@ def solutions_in(
     rows["multipliers.state"][:, 0, ~problem.free_start] = 0
     parts = (rows[name] for name in rows.dtype.names or ())
     solutions = map(partial(_solution, barrier), psi, context, results.tolist(), *parts)
-    return [explained(problem, found) if found.status is Status.INFEASIBLE else found for found in solutions]
+    return [explained(problem, found) for found in solutions]
 
 
 def _solution(barrier: float, psi: Array, context: Array, result: tuple[Any, ...], *parts: Array) -> Solution:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.types import Array
 
 
@@ -187,7 +188,7 @@ class KeypointCost:
         psi = np.asarray(psi, float).ravel()
         if len(psi) != self.n_parameters(horizon, n_observations):
             raise ProblemError(f"psi must have length {self.n_parameters(horizon, n_observations)}, got {len(psi)}.")
-        values = positive(ca.DM(psi)).full().ravel()
+        values = dense(positive(ca.DM(psi))).ravel()
         basis = self.basis.matrix(horizon)
         split = basis.shape[1] * n_observations
         W = basis @ values[:split].reshape(-1, n_observations) if split else np.ones((horizon, n_observations))

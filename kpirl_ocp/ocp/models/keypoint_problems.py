@@ -21,6 +21,7 @@ from kpirl_ocp.ocp.models.keypoint_passes import NetworkPasses
 from kpirl_ocp.ocp.models.pinhole import Pinhole
 from kpirl_ocp.ocp.models.robot import Robot
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.statement.checks import UNBOUNDED, Bounds, bounds_of
 from kpirl_ocp.types import Array
@@ -164,7 +165,7 @@ def keypoint_state(robot: Robot, theta: ArrayLike, unit: float = 1.0, camera: Pi
     theta = np.asarray(theta, float)
     if theta.shape != (robot.n_joints,) or not np.isfinite(theta).all():
         raise ProblemError(f"theta must be {robot.n_joints} finite joint positions, got {theta!r}.")
-    keypoints = visible_keypoints(robot, camera, ca.DM(theta)).full().ravel()
+    keypoints = dense(visible_keypoints(robot, camera, ca.DM(theta))).ravel()
     return np.concatenate([keypoints / unit, theta, np.zeros(robot.n_joints)])
 
 

@@ -21,6 +21,7 @@ import pinocchio as pin
 from kpirl_ocp.assets import iiwa_urdf
 from kpirl_ocp.errors import RobotError
 from kpirl_ocp.ocp.models.robot_files import CONTINUOUS, MIMIC, example_urdf, link_names, read_urdf, tool_link
+from kpirl_ocp.ocp.problem.guards import dense
 
 # Corners of a held object in its link's frame [m]: the bottom of a bottle and two points at its shoulder.
 _OBJECT = ((0.0, 0.0, 0.10), (0.06, 0.0, 0.22), (0.0, 0.06, 0.22))
@@ -135,7 +136,7 @@ class Robot:
 
     def locate(self, theta: np.ndarray) -> np.ndarray:
         """Keypoints (n_keypoints, 3) [m] at the joint positions theta (n_joints,)."""
-        return self.keypoint_function(theta).full().reshape(self.n_keypoints, 3)
+        return dense(self.keypoint_function(theta)).reshape(self.n_keypoints, 3)
 
     def skeleton(self, theta: np.ndarray) -> np.ndarray:
         """Origins (n_joints + 1, 3) [m] of the base and all joints, for drawing."""

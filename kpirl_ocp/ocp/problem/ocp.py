@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.problem.dynamics import DynamicsDerivatives
+from kpirl_ocp.ocp.problem.guards import dense, one_at_a_time
 from kpirl_ocp.ocp.problem.statement.arrays import Arrays
 from kpirl_ocp.ocp.problem.statement.checks import (
     UNBOUNDED,
@@ -40,7 +41,6 @@ from kpirl_ocp.ocp.problem.statement.expressions import inputs_of, kind_of
 from kpirl_ocp.ocp.problem.statement.soft import Soft
 from kpirl_ocp.ocp.problem.statement.summary import summary
 from kpirl_ocp.ocp.problem.statement.switches import with_interior
-from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.types import Trajectory
 
 
@@ -253,7 +253,7 @@ class OCP(Arrays):
             context = np.zeros(self.n_context)
         numbers = self.inputs(s0, psi, () if context is None else context)
         states = self.rollout(numbers[0], actions.T, *numbers[1:])
-        return Trajectory(states.full().T, actions)
+        return Trajectory(dense(states).T, actions)
 
     def _check_signatures(self, n_schedule: int) -> None:
         """Raise ProblemError when a function does not fit the others; dynamics of three inputs become ones of five."""

@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.conditions.program import selected, trajectory_of, transcribe
+from kpirl_ocp.ocp.problem.guards import dense, one_at_a_time
 from kpirl_ocp.ocp.problem.layout import by_stage, lengths, pack, split, unpack, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.problem.statement.checks import check_settings
-from kpirl_ocp.ocp.problem.threads import dense, one_at_a_time
 from kpirl_ocp.ocp.solvers.child_process import ChildProcess
 from kpirl_ocp.ocp.solvers.infeasible import shown_infeasible
 from kpirl_ocp.ocp.solvers.instance import Instance

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.problem.columns import by_trajectory, repeat, symbols_like
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import Linearisation, ReducedCost, reduced_symbols
 from kpirl_ocp.ocp.problem.scope import constant_bounds, refuse_features
@@ -55,7 +56,7 @@ class GradientDescent:
         """Take the steps; see `Solver.solve`. ProblemError for state bounds or path constraints."""
         start, psi, context = numbers_of(problem, s0, psi, context)
         check_constraints(problem, self.project)
-        output = _descent(problem, self)(guess_actions(problem, guess).T, start, psi, context).full().ravel()
+        output = dense(_descent(problem, self)(guess_actions(problem, guess).T, start, psi, context)).ravel()
         return audited(problem, self, psi, context, float(output[0]), output[1:])
 
 

@@ -13,10 +13,10 @@ from kpirl_ocp.ocp.conditions.audit import audit
 from kpirl_ocp.ocp.conditions.multiplier_estimates import estimate_multipliers
 from kpirl_ocp.ocp.conditions.program import limits_from, not_started, starting_point, trajectory_of, transcribe
 from kpirl_ocp.ocp.conditions.violations import explained
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.layout import bound_multipliers, unpack_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, numbers_of
-from kpirl_ocp.ocp.problem.threads import dense
 from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory
 
 
@@ -98,7 +98,7 @@ class Instance:
             barrier=barrier,
             message=message,
         )
-        return explained(self.problem, found) if found.status is Status.INFEASIBLE else found
+        return explained(self.problem, found)
 
     def _estimated(self, trajectory: Trajectory, tolerance: float) -> tuple[Multipliers, KKTResiduals] | None:
         """Estimated multipliers and their residuals, if these meet the tolerance."""

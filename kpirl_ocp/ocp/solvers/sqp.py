@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.interrupts import call_solver
 from kpirl_ocp.ocp.conditions.curvature import hessian
+from kpirl_ocp.ocp.problem.guards import one_at_a_time
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.problem.statement.checks import check_settings
-from kpirl_ocp.ocp.problem.threads import one_at_a_time
 from kpirl_ocp.ocp.solvers.infeasible import shown_infeasible
 from kpirl_ocp.ocp.solvers.instance import Instance, nonlinear_program
 from kpirl_ocp.types import Solution, Status

@@ -43,7 +43,7 @@ _WARM_UP = 50  # steps over which the step size rises
 _CLIP_NORM = 10.0
 _HIDDEN = 0.8  # a keypoint that is on the visible bottle in fewer of the frames is moved
 _NEAREST = 0.3  # to the middle of the others, of its distance from there
-_NEARLY = 0.1  # share of the frames by which a place farther from there may be worse
+_NEARLY = 0.1  # by which the two shares of a place farther from there, together, may be less
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import numpy as np
 from bench.part import Part, Table
 from tqdm import tqdm
 
-from kpirl_ocp import Ipopt, Riccati, Status
+from kpirl_ocp import Ipopt, Riccati, Solution, Status
+from kpirl_ocp.ocp.problem.solver import Solver
 from stress.settings import Profile
 from stress.starts.systems import SYSTEMS, Start
 
@@ -51,14 +52,17 @@ def race(systems: Mapping[str, Callable[[int], Start]], seeds: Iterable[int]) ->
     pairs: Pairs = {name: [] for name in systems}
     for name, seed in tqdm(starts, "starts", unit="start"):
         given = systems[name](seed)
-        runs = []
-        for solver in (Riccati(), Ipopt()):
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                plan = solver.solve(*given)
-            runs.append(Run(plan.iterations, plan.status is Status.CONVERGED))
+        plans = [solved_quietly(solver, *given) for solver in (Riccati(), Ipopt())]
+        runs = [Run(plan.iterations, plan.status is Status.CONVERGED) for plan in plans]
         pairs[name].append((runs[0], runs[1]))
     return pairs
+
+
+def solved_quietly(solver: Solver, *given: Any) -> Solution:
+    """The solution for these arguments of `Solver.solve`, without warnings."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return solver.solve(*given)
 
 
 def part(title: str, what: str, pairs: Pairs, note: str) -> Part:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,11 +11,9 @@ from test_random_problems import random_case
 from test_random_statements import Drawing
 from tqdm import tqdm
 
-from kpirl_ocp import OCP, SQP, Fatrop, Ipopt, Riccati, Solution, Status
-from kpirl_ocp.ocp.problem.solver import Solver
-from kpirl_ocp.types import Array
+from kpirl_ocp import SQP, Fatrop, Ipopt, Riccati, Solution, Status
 from stress.settings import Profile
-from stress.starts.board import MANY, Pairs, Run, summary
+from stress.starts.board import MANY, Pairs, Run, solved_quietly, summary
 from stress.statuses.whole import Whole
 
 SOLVERS = {"Riccati": Riccati(), "Ipopt": Ipopt(), "Fatrop": Fatrop(), "SQP": SQP()}
@@ -59,7 +56,7 @@ def count(problems: int) -> tuple[dict[str, Counter], list[tuple[str, int]], Pai
         problem, numbers = random_problem(seed)
         whole = Whole(problem, *numbers)
         feasible = _once(lambda whole=whole: whole.least_violation() < 1e-6)
-        found = {name: _quietly(solver, problem, numbers) for name, solver in SOLVERS.items()}
+        found = {name: solved_quietly(solver, problem, *numbers) for name, solver in SOLVERS.items()}
         for name, plan in found.items():
             column = _column(plan, whole, feasible)
             counts[name][column] += 1
@@ -69,12 +66,6 @@ def count(problems: int) -> tuple[dict[str, Counter], list[tuple[str, int]], Pai
         if ours.status is theirs.status and ours.status.name in pairs:
             pairs[ours.status.name].append((Run(ours.iterations, True), Run(theirs.iterations, True)))
     return counts, wrong, pairs
-
-
-def _quietly(solver: Solver, problem: OCP, numbers: tuple[Array, ...]) -> Solution:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return solver.solve(problem, *numbers)
 
 
 def random_problem(seed: int):

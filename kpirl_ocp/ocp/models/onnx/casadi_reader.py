@@ -22,6 +22,7 @@ from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.models.graph_network import GraphNetwork
 from kpirl_ocp.ocp.models.onnx.chain import batch_normalisation
 from kpirl_ocp.ocp.models.onnx.graph import Graph, Node
+from kpirl_ocp.ocp.problem.guards import dense
 
 _AGREEMENT = 1e-4  # with the reference, which computes in the file's float32, relative to the largest output
 _POINTS = 3
@@ -82,7 +83,7 @@ def _compare(graph: Graph, network: GraphNetwork) -> None:
         with np.errstate(all="ignore"):  # a logarithm of what is below zero is NaN in both
             expected = np.ravel(reference.run(None, given)[0])
         largest = np.abs(expected[np.isfinite(expected)]).max(initial=0.0)
-        found = network.function(*(np.ravel(x).astype(float) for x in given.values())).full().ravel()
+        found = dense(network.function(*(np.ravel(x).astype(float) for x in given.values()))).ravel()
         if found.shape != expected.shape or not np.allclose(
             found, expected, rtol=0, atol=_AGREEMENT * (1 + largest), equal_nan=True
         ):

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.types import Array
 
@@ -149,7 +150,7 @@ def depends(expression: Expression, *symbols: Expression) -> list[bool]:
 
 def values_of(expression: Expression) -> Array | None:
     """The numbers of a column that depends on no symbol, else None."""
-    return None if ca.symvar(expression) else ca.evalf(ca.densify(expression)).full().ravel()
+    return None if ca.symvar(expression) else dense(ca.evalf(ca.densify(expression))).ravel()
 
 
 def unknown_symbols(expression: Expression, symbols: Iterable[Expression]) -> list[str]:

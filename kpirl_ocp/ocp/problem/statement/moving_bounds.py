@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from kpirl_ocp.errors import ProblemError
+from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.statement.checks import Bounds, bounds_of, shown
 from kpirl_ocp.ocp.problem.statement.draft import Draft
 from kpirl_ocp.ocp.problem.statement.expressions import Expression, depends, expression_of
@@ -75,7 +76,7 @@ def _split(draft: Draft, name: str, bound: Any, length: int, sign: int) -> tuple
         raise ProblemError(f"{name} as an expression must have length {length} or 1, got the shape {moving.shape}.")
     moving = ca.densify(moving) * draft.kind.ones(length)
     symbols = ca.symvar(moving)
-    values: Array = ca.Function("bound", symbols, [moving])(*[1.0] * len(symbols)).full().ravel()
+    values: Array = dense(ca.Function("bound", symbols, [moving])(*[1.0] * len(symbols))).ravel()
     values[_moving(moving)] = sign * np.inf
     return values, moving
 

@@ -10,8 +10,8 @@
 
 static const real SHORTEST = (real)1e-10;  /* step off a point that is no minimum */
 static const real FAR = (real)1e12;       /* |x| beyond which an iterate has diverged */
-static const real CREEPING = (real)1e-2;  /* length of a step that leads nowhere if it is one of */
-static const int LONG = 40;               /* so many, one after the other */
+static const real TOO_SHORT = (real)1e-2; /* length of a step that leads nowhere if it is one of */
+static const int TOO_MANY = 40;           /* so many, one after the other */
 
 static int all_known(const kpirl_mpc_core *core) {
   const kpirl_mpc_derivatives *d = &core->d;
@@ -77,9 +77,9 @@ static int multipliers_diverged(kpirl_mpc_core *core) {
 
 /* Has the method crept for long, far from feasible points? */
 static int creeps(kpirl_mpc_core *core) {
-  const int crept = core->step.primal_length < CREEPING && core->d.violation > core->filter.small;
+  const int crept = core->step.primal_length < TOO_SHORT && core->d.violation > core->filter.small;
   core->creeping = crept ? core->creeping + 1 : 0;
-  return core->creeping >= LONG;
+  return core->creeping >= TOO_MANY;
 }
 
 kpirl_mpc_status kpirl_mpc_converge(kpirl_mpc_core *core) {

@@ -1,8 +1,8 @@
-"""One thread at a time in CasADi: two that evaluate the same function at once, or two functions that share a part,
-crash the process.
+"""Guards against what CasADi does to threads and to Ctrl-C.
 
-Solvers that run in CasADi take turns; `Riccati` and `GradientDescent` run compiled code and need not. If Ctrl-C comes
-while CasADi converts numbers, it raises SystemError, or gives None; here both become KeyboardInterrupt again.
+Two threads that evaluate the same function at once, or two functions that share a part, crash the process. Solvers that
+run in CasADi take turns; `Riccati` and `GradientDescent` run compiled code and need not. If Ctrl-C comes while CasADi
+converts numbers, it raises SystemError, or gives None in their place; here both become KeyboardInterrupt again.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def one_at_a_time(method: Callable[_P, _R]) -> Callable[_P, _R]:
 
 
 def dense(matrix: ca.DM) -> Array:
-    """The numbers (rows, columns) of a matrix; raises KeyboardInterrupt where CasADi dropped it and gave none."""
+    """The numbers (rows, columns) of a matrix; KeyboardInterrupt where CasADi dropped it."""
     numbers = matrix.full()
     if numbers is None:
         raise KeyboardInterrupt
