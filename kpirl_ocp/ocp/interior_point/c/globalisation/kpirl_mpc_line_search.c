@@ -93,9 +93,20 @@ static int corrected_fits(kpirl_mpc_core *core, kpirl_mpc_merit before, real slo
 }
 
 /* The largest multiplier of a constraint that theta counts as equality. */
-static real heaviest(const kpirl_mpc_core *core) {
-  const real costate = kpirl_mpc_price(core);
-  return core->penalty > 0 ? costate : kpirl_mpc_max(costate, kpirl_mpc_norm_inf(core->at.nu, kpirl_mpc_n_equalities(core)));
+static real heaviest(const kpirl_mpc_core *core, const kpirl_mpc_iterate *at) {
+  const real costate = kpirl_mpc_price(core, at->costates);
+  return core->penalty > 0 ? costate : kpirl_mpc_max(costate, kpirl_mpc_norm_inf(at->nu, kpirl_mpc_n_equalities(core)));
+}
+
+/* Does the trial cost no more than what is violated is worth, with the multipliers before the step and after it? Near feasible points the
+ * filter would take what violates constraints less at any cost: also where a nearly singular Hessian makes steps a billion times too
+ * long. */
+static int affordable(const kpirl_mpc_core *core, kpirl_mpc_merit before, kpirl_mpc_merit trial) {
+  const kpirl_mpc_iterate *at = &core->at, *change = &core->step.change;
+  const int m = kpirl_mpc_n_inequalities(core);
+  const real price = heaviest(core, at) + heaviest(core, change) + kpirl_mpc_norm_inf(at->z, m) + kpirl_mpc_norm_inf(change->z, m);
+  if (before.theta <= core->filter.feasible || before.theta > core->filter.small) return 1;
+  return trial.phi - before.phi <= RISE * price * before.theta + ROUNDING * kpirl_mpc_abs(before.phi);
 }
 
 /* Move by the longest length that the filter accepts, if there is one above a fraction `least` of the whole step; far from
@@ -110,7 +121,7 @@ static int move_along(kpirl_mpc_core *core, real least) {
   const real rounding = !tiny && core->d.violation > core->filter.small ? ROUNDING * size / largest : 0;
   const real shortest = kpirl_mpc_max(kpirl_mpc_max(SHORTEST, rounding), least * step->primal_length);
   real length = step->primal_length;
-  const real price = heaviest(core);
+  const real price = heaviest(core, &core->at);
   kpirl_mpc_merit before, trial;
   before.theta = core->d.violation;
   before.phi = core->d.objective - step->tau * kpirl_mpc_hard_log_sum(core, core->at.y);
@@ -118,8 +129,8 @@ static int move_along(kpirl_mpc_core *core, real least) {
   while (length >= shortest) {
     ++core->trials;
     kpirl_mpc_trial_point(core, length, core->lifted, &trial);
-    if ((tiny && isfinite(trial.phi)) || kpirl_mpc_filter_accepts(&core->filter, before, slope, length, price, trial) ||
-        (isfinite(trial.phi) && trial.theta >= before.theta && kpirl_mpc_off_dynamics(core) &&
+    if ((tiny && isfinite(trial.phi)) || (affordable(core, before, trial) && kpirl_mpc_filter_accepts(&core->filter, before, slope, length, price, trial)) ||
+        (isfinite(trial.phi) && trial.theta >= before.theta && kpirl_mpc_lifts(core) &&
          corrected_fits(core, before, slope, length, price))) {
       core->step.primal_length = length;
       core->step.slope = slope;

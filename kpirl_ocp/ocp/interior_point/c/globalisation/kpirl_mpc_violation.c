@@ -53,8 +53,7 @@ real kpirl_mpc_norm_in_sizes(const kpirl_mpc_core *core, const real *states, int
 }
 
 /* What a unit of the violation of the dynamics costs at most: the largest costate, in units of its state. */
-real kpirl_mpc_price(const kpirl_mpc_core *core) {
-  const real *costates = core->at.costates;
+real kpirl_mpc_price(const kpirl_mpc_core *core, const real *costates) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states);
   real price = 0;
   int i, t;

@@ -10,6 +10,7 @@ static const real WARM = (real)1e-3; /* largest tau of a warm start */
 static const real FAR_OFF = 10;      /* violation, relative to that of the guess */
 static const int RESTORATIONS = 5;   /* in one attempt */
 static const real MUCH = 10;         /* regularisation, in units of the Hessian where it is small, of one that is far from positive */
+static const real ALIKE = 4;         /* times as much is about as much */
 
 /* As small as the guess is good, so that a solution stays one; at most WARM, so that a guess counts. */
 static real warm_barrier(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
@@ -76,8 +77,10 @@ static int given_up(const kpirl_mpc_core *core, kpirl_mpc_status status) {
   return stuck(status) && status != KPIRL_MPC_INFEASIBLE && (status != KPIRL_MPC_NOT_FINITE || core->iterations > 0);
 }
 
+int kpirl_mpc_lifts(const kpirl_mpc_core *core) { return core->lifted && !core->options.steps && core->penalty <= 0; }
+
 int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core) {
-  return core->lifted && !core->options.steps && core->penalty <= 0 &&
+  return kpirl_mpc_lifts(core) &&
          kpirl_mpc_norm_in_sizes(core, core->d.defects, DIM(core, horizon)) > core->filter.small;
 }
 
@@ -130,7 +133,7 @@ static kpirl_mpc_status take_one(kpirl_mpc_core *core) {
   return status;
 }
 
-/* After a first step without costates: is the Hessian with those that it led to far from positive, and would its regularisation be
+/* After a first step without costates: is the Hessian with those that it led to far from positive, and would about its regularisation be
  * enough at the guess, with costates that are stationary there? Then what the step left out decides, and it is taken back: begin there.
  * Else the method goes on from where it is. Returns whether it was taken back. */
 static int take_back(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
@@ -145,7 +148,7 @@ static int take_back(kpirl_mpc_core *core, const kpirl_mpc_start *guess) {
   core->at = core->first.change; /* no step needs it before the next */
   core->first.change = reached;
   begin_with_costates(core, guess);
-  if (isinf(enough) || kpirl_mpc_factorise(core, enough)) return 1;
+  if (isinf(enough) || kpirl_mpc_factorise(core, ALIKE * enough)) return 1;
   core->first.change = core->at;
   core->at = reached;
   core->tau = tau;

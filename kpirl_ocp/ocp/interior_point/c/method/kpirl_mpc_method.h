@@ -34,15 +34,16 @@ void kpirl_mpc_limit_lengths(kpirl_mpc_core *core);
 /* corrector: `least` is the tau to stop at */
 void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least);
 
-/* Are steps lifted, and off the dynamics so far? Steps along the dynamics are the other way then. */
+/* Are steps lifted, where steps along the dynamics are the other way; and off the dynamics so far? */
+int kpirl_mpc_lifts(const kpirl_mpc_core *core);
 int kpirl_mpc_off_dynamics(const kpirl_mpc_core *core);
 
 /* violation: sizes of states and actions at core->at, without F before it is known; |states| in these sizes, summed over stages;
- * the price of a unit */
+ * the price of a unit with these costates */
 void kpirl_mpc_measure(kpirl_mpc_core *core, const real *F);
 int kpirl_mpc_outgrown(const kpirl_mpc_core *core);
 real kpirl_mpc_norm_in_sizes(const kpirl_mpc_core *core, const real *states, int stages);
-real kpirl_mpc_price(const kpirl_mpc_core *core);
+real kpirl_mpc_price(const kpirl_mpc_core *core, const real *costates);
 real kpirl_mpc_slack_violation(const kpirl_mpc_core *core, const real *g, const real *y);
 real kpirl_mpc_equality_violation(const kpirl_mpc_core *core, const real *c);
 real kpirl_mpc_violation(const kpirl_mpc_core *core);
