@@ -143,9 +143,12 @@ static int move_along(kpirl_mpc_core *core, real least) {
   return 0;
 }
 
-/* Another barrier function has another filter; without inequalities there is none. */
+/* Another barrier function has another filter; without inequalities there is none. Where tau rose and falls again, predictors may raise it
+ * to a share of that from then on: else a large tau and a small one could take turns for ever, each with a new filter. */
 static void set_tau(kpirl_mpc_core *core, real tau) {
   const int changed = tau != core->tau;
+  if (tau < core->tau && core->rising) core->most_tau = SLOWER * core->tau;
+  if (changed) core->rising = tau > core->tau;
   core->tau = tau;
   if (changed && kpirl_mpc_n_inequalities(core) > 0) kpirl_mpc_start_filter(core);
 }
