@@ -24,7 +24,17 @@ from kpirl_ocp.ocp.problem.solver import Guess, guess_actions, numbers_of
 from kpirl_ocp.ocp.problem.statement.checks import check_settings
 from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients
 from kpirl_ocp.sizes import LONGEST
-from kpirl_ocp.types import Array, KKTResiduals, Multipliers, Solution, Status, Trajectory, largest, max_or_nan
+from kpirl_ocp.types import (
+    Array,
+    KKTResiduals,
+    Multipliers,
+    Solution,
+    Status,
+    Trajectory,
+    largest,
+    max_or_nan,
+    record,
+)
 
 
 @dataclass(frozen=True)
@@ -166,9 +176,29 @@ def audited(
     slope, costates = duals[:of_actions].reshape(-1, n_u), duals[of_actions:].reshape(-1, n_s)
     pushing = _bound_multipliers(problem, actions, slope)
     residuals = KKTResiduals(largest(slope + pushing), 0.0, 0.0, 0.0, max_or_nan(1.0, largest(duals)))
-    multipliers = Multipliers(costates, np.zeros((steps + 1, n_s)), pushing, np.zeros((steps, 0)))
-    status = _status(plan, initial_cost, objective, residuals.worst, solver.tolerance)
-    return Solution(Trajectory(states, actions), multipliers, objective, residuals, status, solver.steps, psi, context)
+    none = np.zeros(0)
+    multipliers = {
+        "dynamics": costates,
+        "state": np.zeros((steps + 1, n_s)),
+        "action": pushing,
+        "path": none.reshape(steps, 0),
+        "path_equality": none.reshape(steps, 0),
+        "terminal": none,
+        "terminal_equality": none,
+    }
+    fields = {
+        "trajectory": record(Trajectory, {"states": states, "actions": actions}),
+        "multipliers": record(Multipliers, multipliers),
+        "objective": objective,
+        "residuals": residuals,
+        "status": _status(plan, initial_cost, objective, residuals.worst, solver.tolerance),
+        "iterations": solver.steps,
+        "psi": psi,
+        "context": context,
+        "barrier": 0.0,
+        "message": "",
+    }
+    return record(Solution, fields)
 
 
 def _bound_multipliers(problem: OCP, actions: Array, slope: Array) -> Array:
