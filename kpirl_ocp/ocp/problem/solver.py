@@ -25,7 +25,7 @@ class StageDerivatives:
     gradient: by x = (s_0, u_0, s_1, .., s_T), given entries of s_0 included.
     The others are column-major matrices, one stage after the other. F: Jacobians of f (n_s, n_x). G, E: transposed
     Jacobians of h (n_x, n_h) and e (n_x, n_e), then of g_T and e_T. H: Hessians of the Lagrangian (n_x, n_x), at the
-    end (n_s, n_s); only the lower triangles are set.
+    end (n_s, n_s); only the lower triangles are set. All arrays are contiguous.
     """
 
     objective: float

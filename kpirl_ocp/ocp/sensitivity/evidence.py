@@ -41,7 +41,7 @@ def measure(
     systems, ends = (system.address, nearby.address), (ctypes.addressof(structure), ctypes.addressof(evidence))
     function = core.function(parameter_derivatives.pull)
     core.library.kpirl_mpc_certify(*systems, core.address, function, c.address_of(slope), along, *ends)
-    return found, dict(zip(MEASURED, evidence, strict=True))
+    return found, dict(zip(MEASURED, evidence[:], strict=True))
 
 
 def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:

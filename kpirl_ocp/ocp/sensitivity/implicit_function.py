@@ -35,12 +35,13 @@ class ByParameters(NamedTuple):
     @classmethod
     def empty(cls, problem: OCP, *count: int) -> ByParameters:
         """Uninitialised arrays for one function, or for `count` functions: (count, n_psi), .. ."""
-        return cls(*(np.empty((*count, size)) for size in (problem.n_parameters, problem.n_states, problem.n_context)))
+        psi, s0, context = (*count, problem.n_parameters), (*count, problem.n_states), (*count, problem.n_context)
+        return cls(np.empty(psi), np.empty(s0), np.empty(context))
 
     @property
     def structure(self) -> Any:
         """The structure `kpirl_mpc_by_parameters` that shows these arrays to the C code."""
-        return c.ByParameters(*map(c.address_of, self))
+        return c.ByParameters(c.address_of(self.psi), c.address_of(self.s0), c.address_of(self.context))
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives
 from kpirl_ocp.ocp.sensitivity.rows import Rows, rows_of
-from kpirl_ocp.ocp.sensitivity.solution_arrays import as_rows, check_solution
+from kpirl_ocp.ocp.sensitivity.solution_arrays import as_row, check_solution
 from kpirl_ocp.types import Array, Mask, Solution
 
 _OF_VIEW = attrgetter("defects", "path", "equality", "gradient", "F", "G", "E", "H")  # as in `c.View`, after the point
@@ -135,11 +135,11 @@ class KKTSystem:
         (`SensitivityCertificate.distance`). Derivatives that are not given are evaluated by the core; after a short
         step second ones stay those of the solution, until `renew`.
         """
-        row, known = as_rows(self.instance.problem, [solution]), None
+        row, known = as_row(self.instance.problem, solution), None
         if derivatives is not None:
             view, self._kept = _view_of(derivatives)
             known = ctypes.addressof(view)
-        given = self.address, core.address, row.ctypes.data, known
+        given = self.address, core.address, row, known
         self.finite = bool(self._library.kpirl_mpc_kkt_linearise(*given))
 
     def renew(self, core: Core) -> None:
@@ -204,11 +204,10 @@ class Triple:
         return PrimalDual(*self._kept[:3])
 
 
-def _view_of(derivatives: StageDerivatives) -> tuple[Any, list[Array]]:
+def _view_of(derivatives: StageDerivatives) -> tuple[Any, tuple[Array, ...]]:
     """The structure `kpirl_mpc_view`, and the arrays that must live as long as it is used."""
-    arrays = [np.ascontiguousarray(array, float) for array in _OF_VIEW(derivatives)]
-    point = (None,) * 4
-    return c.View(*point, *map(c.address_of, arrays), derivatives.objective), arrays
+    arrays = _OF_VIEW(derivatives)
+    return c.View(None, None, None, None, *map(c.address_of, arrays), derivatives.objective), arrays
 
 
 def at_solution(problem: OCP, solution: Solution) -> KKTSystem:

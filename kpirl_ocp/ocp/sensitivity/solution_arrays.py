@@ -15,7 +15,8 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.statement.checks import shown
 from kpirl_ocp.types import Array, Solution, floats
 
-_FLOAT = np.dtype(float)
+_ARRAYS, _FLOATS = {np.ndarray}, {np.dtype(float)}
+_dtype, _shape = attrgetter("dtype"), attrgetter("shape")
 
 
 def check_solution(problem: OCP, solution: Solution, name: str = "the solution") -> None:
@@ -25,9 +26,10 @@ def check_solution(problem: OCP, solution: Solution, name: str = "the solution")
             f"an OCP and {name} of it are needed, in this order, got {shown(problem)}, {shown(solution)}."
         )
     arrays, shapes = _arrays(problem)
-    for (part, shape), array in zip(shapes.items(), arrays(solution), strict=True):
-        if isinstance(array, np.ndarray) and array.shape == shape and array.dtype == _FLOAT:
-            continue
+    own = arrays(solution)
+    if _are_plain(own) and [*map(_shape, own)] == [*shapes.values()]:
+        return
+    for (part, shape), array in zip(shapes.items(), own, strict=True):
         given = floats(f"{name}'s {part}", array).shape
         if given != shape:
             raise ProblemError(f"{name}'s {part} must be {shape}, got {given}: it is of another problem.")
@@ -40,6 +42,20 @@ def as_rows(problem: OCP, solutions: Sequence[Solution]) -> NDArray[np.void]:
     """
     arrays, _ = _arrays(problem)
     return np.array([arrays(each)[:-2] for each in solutions], solution_row(problem))
+
+
+def as_row(problem: OCP, solution: Solution) -> bytes:
+    """One solution that fits a problem, as in `as_rows`, of which it takes a third of the time."""
+    arrays, _ = _arrays(problem)
+    parts = arrays(solution)[:-2]
+    if _are_plain(parts) and all(part.flags.c_contiguous for part in parts):
+        return b"".join(parts)  # type: ignore[arg-type]
+    return as_rows(problem, [solution]).tobytes()
+
+
+def _are_plain(values: tuple[object, ...]) -> bool:
+    """True if all are numpy's arrays of floating-point numbers."""
+    return set(map(type, values)) == _ARRAYS and set(map(_dtype, values)) == _FLOATS
 
 
 @lru_cache(maxsize=64)

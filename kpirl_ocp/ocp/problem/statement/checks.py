@@ -70,7 +70,7 @@ def vector(name: str, value: ArrayLike, *lengths: int) -> Array:
 
 def matrix(name: str, axes: str, value: ArrayLike, *shapes: tuple[int, int]) -> Array:
     """A float64 matrix of one of these shapes, row by row in memory. Raises ProblemError for anything else."""
-    array = numbers(name, value)
+    array = value if type(value) is np.ndarray and value.dtype == float else numbers(name, value)
     if array.shape not in shapes:
         raise ProblemError(f"{name} must be {axes} = {_or(shapes)}, got {array.shape}.")
     return array if array.flags.carray else np.require(array, requirements=("C", "A"))

@@ -21,36 +21,38 @@ static void absolute_rows(const real *restrict from, int rows, int columns, int 
     for (i = 0; i < count; ++i) to[i] = kpirl_mpc_abs(from[i]);
 }
 
-/* How many of the first n_s rows and columns of H (n, n) go up to the last that is not zero: in many problems few. */
-static int filled(const real *H, int n_s, int n) {
-  int a, count = n_s;
-  for (; count > 0; --count)
-    for (a = 0; a < count; ++a)
-      if (H[count - 1 + a * n] != 0) return count;
-  return 0;
+static int any_nonzero(const real *values, int count) {
+  int i, any = 0;
+  for (i = 0; i < count; ++i) any |= values[i] != 0;
+  return any;
 }
 
-/* values (n_x) += the diagonal of |F|' |H| |F|, of the first n_s rows and columns of H (n, n). work: n_s (n_s + 2 n_x) numbers. */
-static void add_diagonal(const real *F, int n_s, int n_x, const real *H, int n, real *work, real *values) {
-  const int count = filled(H, n_s, n);
+/* Where the first n_s rows and columns of H (n, n) have entries off the diagonal: from `first` up to the end that is returned; in
+ * many problems few. */
+static int coupled(const real *H, int n_s, int n, int *first) {
+  int end = n_s;
+  for (*first = 0; *first < n_s; ++*first)
+    if (any_nonzero(H + *first * (n + 1) + 1, n_s - 1 - *first)) break;
+  while (end > *first && !any_nonzero(H + (end - 1) * n, end - 1)) --end;
+  return end;
+}
+
+/* values (n_x) += the diagonal of |F|' |H| |F| of what H (n, n) holds off its diagonal, of the first n_s rows and columns.
+ * work: n_s (n_s + 2 n_x) numbers. */
+static void add_coupling(const real *F, int n_s, int n_x, const real *H, int n, real *work, real *values) {
+  int i, first;
+  const int count = coupled(H, n_s, n, &first) - first;
   real *absolute_H = work, *absolute_F = absolute_H + count * count, *product = absolute_F + count * n_x;
-  int i;
-  absolute_rows(H, n, count, count, absolute_H);
-  absolute_rows(F, n_s, n_x, count, absolute_F);
+  if (count <= 0) return;
+  absolute_rows(H + first * (n + 1), n, count, count, absolute_H);
+  for (i = 0; i < count; ++i) absolute_H[i * (count + 1)] = 0;
+  absolute_rows(F + first, n_s, n_x, count, absolute_F);
   memset(product, 0, (size_t)(count * n_x) * sizeof(real));
   kpirl_mpc_times(absolute_H, count, count, absolute_F, n_x, product);
   for (i = 0; i < n_x; ++i) values[i] += kpirl_mpc_dot(absolute_F + i * count, product + i * count, count);
 }
 
-static int is_diagonal(const real *H, int n_s, int n) {
-  int a, b;
-  for (a = 0; a < n_s; ++a)
-    for (b = a + 1; b < n_s; ++b)
-      if (H[b + a * n] != 0) return 0;
-  return 1;
-}
-
-/* The same for a diagonal H, from F itself. */
+/* The same of the diagonal of H. */
 static void add_squares(const real *restrict F, int n_s, int n_x, const real *H, int n, real *restrict weights,
                         real *restrict values) {
   int a, i;
@@ -67,10 +69,8 @@ void kpirl_mpc_system_curvature(const kpirl_mpc_system *s, real *curvature) {
     const real *H = s->H + (size_t)t * n_x * n_x, *next = H + n_x * n_x, *F = s->F + (size_t)t * n_s * n_x;
     for (i = 0; i < n; ++i) curvature[t * n_x + i] = kpirl_mpc_abs(H[i + i * n]);
     if (t == T) break;
-    if (is_diagonal(next, n_s, after))
-      add_squares(F, n_s, n_x, next, after, s->scratch, curvature + t * n_x);
-    else
-      add_diagonal(F, n_s, n_x, next, after, s->scratch, curvature + t * n_x);
+    add_squares(F, n_s, n_x, next, after, s->scratch, curvature + t * n_x);
+    add_coupling(F, n_s, n_x, next, after, s->scratch, curvature + t * n_x);
   }
 }
 
