@@ -23,6 +23,7 @@ from kpirl_ocp.ocp.problem.columns import (
     regroup,
     repeat,
     reverse,
+    smallest,
     smallest_block,
     smallest_by_column,
     sum_blocks,
@@ -86,7 +87,7 @@ def unrolled_function(
     kink = kinks[0]
     for other in kinks[1:]:
         kink = ca.fmin(kink, other)
-    least = smallest_block(ca.horzcat(extremes(at), *(found for _, _, _, found, _ in walk)), columns)
+    least = smallest(extremes(at), *(found for _, _, _, found, _ in walk))
     clear = allowed_move(reduced, solver, at, psi, theta, least)
     initial = walk[0][2][:, :columns]
     point = terminal_point(at, columns)

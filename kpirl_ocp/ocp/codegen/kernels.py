@@ -14,7 +14,7 @@ import re
 
 from kpirl_ocp.ocp.codegen.array_kernels import COPY, LARGER, LARGEST, LEAST, SMALLER, TANH
 from kpirl_ocp.ocp.codegen.rewriting.certain_calls import with_certain_calls
-from kpirl_ocp.ocp.codegen.rewriting.copy_elision import with_fewer_copies
+from kpirl_ocp.ocp.codegen.rewriting.copy_elision import with_earlier_outputs, with_fewer_copies
 from kpirl_ocp.ocp.codegen.rewriting.loop_fusion import with_joined_loops
 
 _TILES = r"""/* rows first .. end of `columns` columns, as vectors of which the last overlaps its neighbour if need be;
@@ -225,7 +225,7 @@ def with_fast_kernels(source: str) -> str:
     Nothing is added for functions that it does not contain.
     """
     source, found = _TANH_LOOP.subn(r"kernel_tanh(\2, \3, \1);", _with_products(source))
-    source = with_joined_loops(with_certain_calls(source))
+    source = with_earlier_outputs(with_joined_loops(with_certain_calls(source)))
     return _begin_with(TANH, source) if found else source
 
 

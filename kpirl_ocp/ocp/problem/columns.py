@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import reduce
 from itertools import pairwise
 
 import casadi as ca
@@ -112,6 +113,11 @@ def smallest_block(array: ca.MX, width: int) -> ca.MX:
         half = (array.size2() // width + 1) // 2 * width
         array = ca.fmin(array[:, :half], array[:, -half:])
     return array
+
+
+def smallest(first: ca.MX, *others: ca.MX) -> ca.MX:
+    """Entry by entry the smallest number of arrays of the same shape."""
+    return reduce(ca.fmin, others, first)
 
 
 def largest_block(array: ca.MX, width: int) -> ca.MX:

@@ -2,8 +2,9 @@
 
     product   w = start; w += x y     becomes  w = start + x y    one pass over w; zeros are not even written
     output    w = ...; res[k] = w     becomes  res[k] = ...       w is another name for the caller's array
+    earlier   the same where w is written anew after that         w has another name until then
 
-The results are the same to the last bit. Each concerns one function. The second needs results that overlap neither
+The results are the same to the last bit. Each concerns one function. The last two need results that overlap neither
 each other nor the arguments: CasADi finds places for the results of a call before it frees its arguments. The callers
 of the functions that a file is generated for are not known, so these are left alone.
 """
@@ -19,7 +20,7 @@ _OUTPUT = re.compile(r"^ *(?:if \(res\[\d+\]\) )?casadi_copy\((w\d+), \d+, res\[
 
 
 def with_fewer_copies(source: str) -> str:
-    """Generated C with both replacements; products call `kernel_mtimes_from` of `kpirl_ocp.ocp.codegen.kernels`."""
+    """Generated C with the first two replacements; products call `kernel_mtimes_from` of `kpirl_ocp.ocp.codegen.kernels`."""
     entries = set(ENTRY.findall(source))
 
     def shorter(function: re.Match[str]) -> str:
@@ -50,4 +51,24 @@ def _outputs(text: str) -> str:
         before, renamed = re.subn(rf"\*{name}=(w\+\d+)", rf"*{name}={place} : \1", before)
         if renamed == 1 and not re.search(rf"\b{name}\b", after):
             text = before + after
+    return text
+
+
+def with_earlier_outputs(source: str) -> str:
+    """Generated C whose loops are joined, with the last of these replacements."""
+    entries = set(ENTRY.findall(source))
+    return FUNCTION.sub(lambda found: found[0] if found[1] in entries else _earlier_outputs(found[0]), source)
+
+
+def _earlier_outputs(text: str) -> str:
+    """Arrays that end as an output, in memory that the next loop to mention it fills anew."""
+    for found in reversed(list(_OUTPUT.finditer(text))):
+        name, place = found[1], f"res[{found[2]}]{found[3] or ''}"
+        before, _, after = text.partition(found[0])
+        declared = re.search(rf"\*{name}=[^,;]*", before)
+        use = re.search(rf"^.*\b{name}\b.*$", after, re.MULTILINE)
+        if declared and use and use[0] == f"    {name}[i] = entry_{name};":
+            earlier = re.sub(rf"\b{name}\b", f"{name}0", before[declared.end() :])  # all names are of one length
+            declaration = f"{declared[0]}, *{name}0=res[{found[2]}] ? {place} : {name}"
+            text = before[: declared.start()] + declaration + earlier + after
     return text

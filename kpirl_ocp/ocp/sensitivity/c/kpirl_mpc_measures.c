@@ -52,13 +52,13 @@ static void add_coupling(const real *F, int n_s, int n_x, const real *H, int n, 
   for (i = 0; i < n_x; ++i) values[i] += kpirl_mpc_dot(absolute_F + i * count, product + i * count, count);
 }
 
-/* The same of the diagonal of H. */
-static void add_squares(const real *restrict F, int n_s, int n_x, const real *H, int n, real *restrict weights,
-                        real *restrict values) {
-  int a, i;
-  for (a = 0; a < n_s; ++a) weights[a] = kpirl_mpc_abs(H[a + a * n]);
-  for (i = 0; i < n_x; ++i, F += n_s)
-    for (a = 0; a < n_s; ++a) values[i] += weights[a] * F[a] * F[a];
+/* The same of the diagonal of H. work: n_s (n_x + 1) numbers. */
+static void add_squares(const real *restrict F, int n_s, int n_x, const real *H, int n, real *restrict work, real *values) {
+  real *restrict squares = work + n_s;
+  int i;
+  for (i = 0; i < n_s; ++i) work[i] = kpirl_mpc_abs(H[i + i * n]);
+  for (i = 0; i < n_s * n_x; ++i) squares[i] = F[i] * F[i];
+  kpirl_mpc_transposed_times_vector(squares, n_s, n_x, work, values);
 }
 
 void kpirl_mpc_system_curvature(const kpirl_mpc_system *s, real *curvature) {
