@@ -225,8 +225,13 @@ def with_fast_kernels(source: str) -> str:
     Nothing is added for functions that it does not contain.
     """
     source, found = _TANH_LOOP.subn(r"kernel_tanh(\2, \3, \1);", _with_products(source))
-    source = with_earlier_outputs(with_joined_loops(with_certain_calls(source)))
+    source = _apart(with_earlier_outputs(with_joined_loops(with_certain_calls(source))))
     return _begin_with(TANH, source) if found else source
+
+
+def _apart(source: str) -> str:
+    """Generated C whose functions stay functions: put into each other they take longer to compile, and to run."""
+    return re.sub(r"^static int casadi_f", r"static __attribute__((noinline)) int casadi_f", source, flags=re.MULTILINE)
 
 
 def with_ordered_kernels(source: str) -> str:
