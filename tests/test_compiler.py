@@ -133,6 +133,7 @@ def test_ordered_products_and_tanh_equal_the_virtual_machine_to_the_last_bit(tmp
 
 
 @needs_compiler
+@pytest.mark.filterwarnings("error")  # it is compiled
 def test_a_dense_product_lets_nan_and_infinity_through_in_their_own_entries(cache):
     x = ca.MX.sym("x", 20, 20)
     compiled = native.compiled(ca.Function("product", [x], [x @ ca.DM.eye(20), x @ ca.DM.ones(20, 3)]))

@@ -9,7 +9,8 @@ import pytest
 
 from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.codegen import kernels
-from kpirl_ocp.ocp.codegen.rewriting.copy_elision import with_fewer_copies
+from kpirl_ocp.ocp.codegen.rewriting.copy_elision import with_earlier_outputs, with_fewer_copies
+from kpirl_ocp.ocp.codegen.rewriting.loop_fusion import with_joined_loops
 from kpirl_ocp.ocp.problem.columns import scan
 
 STEPS = 3
@@ -72,6 +73,44 @@ def test_functions_that_others_may_call_with_arrays_that_overlap_keep_their_copi
     before = generated(recursion(25, 10))
     (entry,) = re.findall(r"return (casadi_f\d+)\(arg, res, iw, w, mem\);", before)
     assert bodies(with_fewer_copies(before))[entry] == bodies(before)[entry]
+
+
+def reused_memory(*wanted):
+    """Steps with outputs whose memory CasADi uses for another output of the same size; some of them are wanted."""
+    x, low = (ca.MX.sym(name, 25, 4) for name in ("x", "low"))
+    product = ca.DM(np.random.default_rng(3).normal(size=(25, 25))) @ x
+    slope = product > 0
+    stage = ca.Function("stage", [x, low], [slope * product, slope, ca.fmin(low, ca.fabs(product))])
+    found = scan(stage, x, [low], STEPS)
+    return ca.Function("steps", [x, low], [found[i] for i in wanted])
+
+
+def test_an_output_whose_memory_is_filled_anew_is_computed_in_place():
+    before = with_joined_loops(with_fewer_copies(generated(reused_memory(0, 1, 2))))
+    stages = [bodies(source)["casadi_f1"] for source in (before, with_earlier_outputs(before))]
+    copy = re.compile(r"casadi_copy\((w\d+), 100, res\[(\d)\]\)")
+    ((array, place),) = copy.findall(stages[0])
+    assert not copy.search(stages[1])
+    assert f"*{array}0=res[{place}] ? res[{place}] : {array}" in stages[1]
+
+
+@needs_compiler
+@pytest.mark.parametrize("wanted", [(0,), (1,), (2,), (0, 2), (0, 1, 2)])
+def test_outputs_in_memory_that_is_filled_anew_are_the_same(wanted):
+    function, rng = reused_memory(*wanted), np.random.default_rng(4)
+    point = [rng.normal(size=function.size_in(i)) for i in range(function.n_in())]
+    found, expected = (ca.vertcat(*steps.call(point)) for steps in (native.compiled(function), function))
+    np.testing.assert_allclose(np.array(found), np.array(expected), rtol=0, atol=1e-12)
+
+
+def test_an_output_that_is_read_after_it_was_copied_keeps_its_copy():
+    text = (
+        "static int casadi_f1(const casadi_real** arg, casadi_real** res) {\n"
+        "  casadi_real *w1=w+0, *w2=w+9;\n  casadi_copy(w1, 9, res[0]);\n"
+        "  for (casadi_int i=0; i<9; ++i) {\n    casadi_real entry_w1 = w1[i], entry_w2;\n    entry_w2 = entry_w1;\n"
+        "    w2[i] = entry_w2;\n  }\n}\n"
+    )
+    assert with_earlier_outputs(text) == text
 
 
 def test_a_product_keeps_its_copy_if_anything_comes_between():

@@ -74,7 +74,7 @@ def test_what_no_other_loop_needs_stays_a_number():
     inner = ca.Function("inner", [x], [1 - ca.exp(x) ** 2])
     outer = ca.Function("outer", [x], inner.call([x], False, True))
     joined = with_joined_loops(with_fewer_copies(generated(outer)))
-    (loop,) = re.findall(r"for \(i=0; i<25; \+\+i\) \{\n(.*?)\n  \}", joined, re.DOTALL)
+    (loop,) = re.findall(r"for \(casadi_int i=0; i<25; \+\+i\) \{\n(.*?)\n  \}", joined, re.DOTALL)
     assert len(set(re.findall(r"\bentry_w\d", loop))) == 2
     assert len(re.findall(r"^    w\d\[i\] = ", loop, re.MULTILINE)) == 1, "the output, and not exp or its square"
 

@@ -20,7 +20,7 @@ _OUTPUT = re.compile(r"^ *(?:if \(res\[\d+\]\) )?casadi_copy\((w\d+), \d+, res\[
 
 
 def with_fewer_copies(source: str) -> str:
-    """Generated C with the first two replacements; products call `kernel_mtimes_from` of `kpirl_ocp.ocp.codegen.kernels`."""
+    """Generated C with the first two; products call `kernel_mtimes_from` of `kpirl_ocp.ocp.codegen.kernels`."""
     entries = set(ENTRY.findall(source))
 
     def shorter(function: re.Match[str]) -> str:

@@ -100,7 +100,8 @@ def _written(step: _Step, function: str, later: Sequence[_Step]) -> Iterator[str
         computed[target] = None
     names = [f"entry_{name} = {name}[i]" for name in loaded]
     names += [f"entry_{name}" for name in computed if name not in loaded]
-    yield f'  _Pragma("GCC ivdep")\n  for (i=0; i<{step.length}; ++i) {{\n    casadi_real {", ".join(names)};'
+    yield f'  _Pragma("GCC ivdep")\n  for (casadi_int i=0; i<{step.length}; ++i) {{'  # CasADi's fill has no i
+    yield f"    casadi_real {', '.join(names)};"
     yield from (f"    {line}" for line in step.lines)
     for name in computed:
         if f"*{name}=w+" not in function or any(name in other.names for other in later):
