@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -61,6 +62,7 @@ def run(task: str, models: Models, demonstrations: list[Demonstration], lesson: 
     return learn_or_fail(with_static_keypoint(models.load_dynamics(task)), seen, lesson)
 
 
+@lru_cache(maxsize=2)
 def with_static_keypoint(dynamics: NetworkDynamics) -> NetworkDynamics:
     """The model with one keypoint more, the last, that never moves and does not matter to the others."""
     if not dynamics.residual:

@@ -18,8 +18,8 @@ from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
 from kpirl_ocp.irl.identifiability.gains import squared_gains, stiffness
 from kpirl_ocp.irl.identifiability.identify import identify
 from kpirl_ocp.irl.visual.learning import CONVERGED, InnerLoop, LearnedPlan, horizon_of
+from kpirl_ocp.irl.visual.planning_costs import learning_problem
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
-from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 from kpirl_ocp.perception.dynamics.augmentation import DETECTION
 from kpirl_ocp.types import Array, Demonstration
 from reproduction.sweep import Result
@@ -39,7 +39,7 @@ def identified(
     """
     converged = learned.cost.solver is CONVERGED
     horizon, n_z = horizon_of(demonstrations), dynamics.n_z
-    problem, family, psi = network_ocp(dynamics, learned.family, horizon), learned.family, learned.psi
+    problem, family, psi = learning_problem(dynamics, learned.family, horizon), learned.family, learned.psi
     method: Hypergradient = Implicit(CONVERGED, policy="flag") if converged else Unrolled(inner.solver)
     basis, slope = family.basis.matrix(horizon), weight_slopes(family.positivity, psi)
     plans = [learned.cost.solver.solve(problem, demo.s0, psi, demo.context) for demo in demonstrations]

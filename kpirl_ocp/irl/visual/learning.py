@@ -22,10 +22,9 @@ from kpirl_ocp.irl.hypergradients.unrolled import Unrolled
 from kpirl_ocp.irl.learning.apprenticeship import apprenticeship
 from kpirl_ocp.irl.learning.learn import learn
 from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Optimiser
-from kpirl_ocp.irl.visual.planning_costs import PlanningCost
+from kpirl_ocp.irl.visual.planning_costs import PlanningCost, learning_problem
 from kpirl_ocp.ocp.models.keypoint_costs import RBF, Basis, KeypointCost, TimeDependent, Weighted
 from kpirl_ocp.ocp.models.keypoint_dynamics import NetworkDynamics
-from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 from kpirl_ocp.ocp.problem.solver import Solver
 from kpirl_ocp.ocp.solvers.gradient_descent import GradientDescent
 from kpirl_ocp.ocp.solvers.riccati import Riccati
@@ -145,7 +144,7 @@ def learn_by_apprenticeship(
 ) -> LearnedPlan:
     """The baseline: apprenticeship learning of a Weighted cost, with the paper's inner loop."""
     horizon, cost = horizon_of(demonstrations), KeypointCost(Weighted())
-    problem = network_ocp(dynamics, cost, horizon)
+    problem = learning_problem(dynamics, cost, horizon)
     result = apprenticeship(problem, demonstrations, inner.solver, iterations, rng)
     planned = PlanningCost.of(cost, result.psi, horizon, dynamics.n_z, inner.solver)
     return LearnedPlan(planned, cost, result.psi, result.losses, int(np.argmin(result.losses)), result.seconds)
@@ -170,7 +169,7 @@ def _learn(
     solver: Solver,
 ) -> LearnedPlan:
     horizon, n_z = horizon_of(demonstrations), dynamics.n_z
-    problem = network_ocp(dynamics, cost, horizon)
+    problem = learning_problem(dynamics, cost, horizon)
     psi0 = cost.initial(horizon, n_z, weights)
     result = learn(problem, demonstrations, psi0, method, optimiser, iterations, progress=False).raise_if_interrupted()
     planned = PlanningCost.of(cost, result.psi, horizon, n_z, solver)

@@ -171,6 +171,15 @@ def planning_problem(dynamics: NetworkDynamics, horizon: int, limits: ArmLimits 
     return limited_network_ocp(dynamics, all_weights(horizon), horizon, limits)
 
 
+@lru_cache(maxsize=16)
+def learning_problem(dynamics: NetworkDynamics, cost: KeypointCost, horizon: int) -> OCP:
+    """`network_ocp` to learn a cost with, without limits: one for all who learn, so that its functions are built once.
+
+    The basis of the cost must be hashable.
+    """
+    return network_ocp(dynamics, cost, horizon)
+
+
 def all_weights(horizon: int) -> KeypointCost:
     """The family of `planning_problem`, whose parameters are the weights and efforts of every step themselves."""
     return KeypointCost(TimeDependent(), effort=(0.0,) * horizon, learn_effort=True)
