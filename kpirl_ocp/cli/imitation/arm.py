@@ -110,13 +110,14 @@ def arm_for(name: str, flange: str | None, places: Array, scale: Scale) -> tuple
     """
     bare = robot_called(name)
     link = flange or (FLANGE if name == "iiwa" else bare.keypoints[0].link)
-    camera, start = (Camera(), _middle()) if name == "iiwa" else _elsewhere(name, link, bare)
-    depth = _bottle(name, link, bare, camera, start)[2]
-    factor = scale.at(camera.intrinsics[0, 0], depth)
-    displacements = factor * (places - places[0])
-    if name == "iiwa":
-        start = _start_for(bare, camera, displacements)
-    rotation, position, depth = _bottle(name, link, bare, camera, start)
+    with _scene(name, link, bare, Camera()) as scene:
+        camera, start = (Camera(), _middle()) if name == "iiwa" else _elsewhere(scene, bare)
+        depth = _bottle(scene, camera, start)[2]
+        factor = scale.at(camera.intrinsics[0, 0], depth)
+        displacements = factor * (places - places[0])
+        if name == "iiwa":
+            start = _start_for(bare, camera, displacements)
+        rotation, position, depth = _bottle(scene, camera, start)
     figure = factor * (places[0] - places[0].mean(axis=0))
     fits = _share_that_fits(camera, camera.project(position), figure + displacements)
     if fits < 1 and not scale.is_known:
@@ -150,11 +151,10 @@ def _urdf(name: str) -> Path | None:
     return Path(name) if "." in name or "/" in name else example_urdf(name)
 
 
-def _bottle(name: str, flange: str, robot: Robot, camera: Camera, theta: Array) -> tuple[Array, Array, float]:
-    """Rotation (3, 3) and position (3,) [m] of the bottle, and its depth before the camera [m]."""
-    with _scene(name, flange, robot, camera) as scene:
-        scene.reset(theta)
-        rotation, position = scene.link_pose(BOTTLE)
+def _bottle(scene: Scene, camera: Camera, theta: Array) -> tuple[Array, Array, float]:
+    """Rotation (3, 3) and position (3,) [m] of the bottle, and its depth before a camera [m]."""
+    scene.reset(theta)
+    rotation, position = scene.link_pose(BOTTLE)
     turn, shift = camera.extrinsics
     return rotation, position, float((turn @ position + shift)[2])
 
@@ -191,12 +191,11 @@ def _start_for(iiwa: Robot, camera: Camera, displacements: Array) -> Array:
     raise SceneError(f"the iiwa cannot hold the bottle at x = {x:.2f} m, z = {z:.2f} m, nor farther away.")
 
 
-def _elsewhere(name: str, flange: str, robot: Robot) -> tuple[Camera, Array]:
+def _elsewhere(scene: Scene, robot: Robot) -> tuple[Camera, Array]:
     """A camera next to the bottle of another arm, and a bent posture."""
     start = bent_posture(robot, _BEND)
-    with _scene(name, flange, robot, Camera()) as scene:
-        scene.reset(start)
-        _, position = scene.link_pose(BOTTLE)
+    scene.reset(start)
+    _, position = scene.link_pose(BOTTLE)
     eye, target = (tuple(map(float, place)) for place in (position + _VIEW, position))
     return Camera(eye=eye, target=target), start  # type: ignore[arg-type]
 

@@ -11,6 +11,7 @@ import av
 import av.error
 import av.logging
 import numpy as np
+from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from kpirl_ocp.errors import FileError
@@ -36,6 +37,7 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise FileError(f"{path} is not a video: expected one of {', '.join(VIDEO_SUFFIXES)}, or a folder of pictures.")
     container, stream = _open(path)
+    convert = VideoReformatter()  # one of its own for every frame would start its threads anew
     first: float | None = None
     time = longest = 0.0  # of the last frame, and the longest pause between two frames [s]
     with container:
@@ -52,7 +54,7 @@ def decode(path: Path, end: float = np.inf) -> Iterator[tuple[float, NDArray[np.
                 longest = max(longest, period)
                 if time > end + 1e-6:
                     return
-                yield time, _upright(frame, path, stream)
+                yield time, _upright(frame, path, stream, convert)
         except av.error.FFmpegError as error:
             if not stream.codec_context.width:  # only the frame's own header has its size
                 raise FileError(
@@ -131,8 +133,8 @@ def _square_size(path: Path, width: int, height: int, stream: av.VideoStream) ->
     return wide, high
 
 
-def _upright(frame: av.VideoFrame, path: Path, stream: av.VideoStream) -> NDArray[np.uint8]:
+def _upright(frame: av.VideoFrame, path: Path, stream: av.VideoStream, convert: VideoReformatter) -> NDArray[np.uint8]:
     """The frame as (H, W, 3) RGB, with square pixels, and turned upright."""
     width, height = _square_size(path, frame.width, frame.height, stream)
-    image = frame.reformat(width, height, "rgb24").to_ndarray()
+    image = convert.reformat(frame, width, height, "rgb24").to_ndarray()
     return np.ascontiguousarray(np.rot90(image, round(frame.rotation / 90)))
