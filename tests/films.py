@@ -27,8 +27,12 @@ def paste(image, picture, where):
     """The image with a picture at a pose."""
     shape = (image.shape[1], image.shape[0])
     ink = cv2.warpAffine(picture, where[:2], shape)
-    there = cv2.warpAffine(np.full(picture.shape[:2], 255, np.uint8), where[:2], shape)[..., None] / 255
-    return (there * ink + (1 - there) * image).round().astype(np.uint8)
+    mask = cv2.warpAffine(np.full(picture.shape[:2], 255, np.uint8), where[:2], shape)
+    x, y, width, height = cv2.boundingRect(mask)
+    part = slice(y, y + height), slice(x, x + width)
+    there, pasted = mask[part][..., None] / 255, image.copy()
+    pasted[part] = (there * ink[part] + (1 - there) * image[part]).round()
+    return pasted
 
 
 def film(poses, *, picture=None, occluders=None, blur=None, rate=30):
