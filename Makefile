@@ -84,7 +84,9 @@ docs: .venv/installed-docs
 	@echo "open out/site/index.html"
 
 # Modules are compiled once, not by each of hundreds of processes, even where Python is told to write no bytecode.
+# The two processes of the tests have one thread each.
 test: export PYTHONDONTWRITEBYTECODE =
+test: export OPENCV_FOR_THREADS_NUM = 1
 test: .venv/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
