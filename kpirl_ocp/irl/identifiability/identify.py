@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
+from scipy.special import stdtrit
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import Hypergradient
@@ -126,7 +126,7 @@ class Identification(Brief):
 
     def _around(self, rows: Array, deviations: Array, level: float) -> Array:
         share = number("level", level, "between 0 and 1", 0, 1)
-        halfwidths = stats.t.ppf(0.5 + share / 2, self.freedom) * deviations
+        halfwidths = stdtrit(self.freedom, 0.5 + share / 2) * deviations  # the quantile of Student's t
         return (rows @ self.psi)[:, None] + halfwidths[:, None] * [-1.0, 1.0]
 
     @property
