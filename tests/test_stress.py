@@ -292,7 +292,7 @@ def test_nonlinear_cases_in_odd_units_converge(case):
 
 @pytest.mark.parametrize("case", [4348, 4953])
 def test_a_large_tau_and_a_small_one_do_not_take_turns_for_ever(case):
-    """Each had a new filter, which accepted what the last one would not have: 500 iterations, where Ipopt takes 7 and 9."""
+    """Each had a new filter, which took what the last one would not have: 500 iterations, where Ipopt takes 7 and 9."""
     given = draw(case)
     found = given.solver.solve(given.problem, given.demonstration.s0, given.psi, given.demonstration.context)
     assert found.status is Status.CONVERGED
