@@ -113,14 +113,12 @@ typedef struct kpirl_mpc_core {
   real *states, *actions; /* gathered for functions of the whole horizon */
   real penalty; /* rho of elastic mode, see kpirl_mpc_elastic.c; 0 otherwise */
   real tau, indefinite_tau, escaped_tau; /* tau to go back to where the Hessian is not positive; at which a saddle was left */
-  real most_tau;                         /* to which a predictor may raise tau */
   real first_violation;        /* sum over all constraints, as they were stated, where the first attempt began */
   real start_tau, most_violation, most_gradient; /* tau at the beginning; the largest violation and gradient since */
   real tolerance, regularisation, best[3]; /* best: the smallest residuals so far */
   double started;
   int iterations, trials, idle, creeping; /* idle: iterations since one of `best` was halved; creeping: since a step was long */
   int lifted, held;            /* are steps lifted, or along the dynamics? was tau held where the Hessian was not positive? */
-  int rising;                  /* did tau rise when it last changed? */
   int indefinite;              /* was a Hessian not positive since this attempt or restoration began? */
   int no_costates;             /* are they zero because nothing is known about them? */
   int failed;                  /* has a function reported an error? */

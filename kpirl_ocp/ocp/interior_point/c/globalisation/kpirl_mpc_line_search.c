@@ -17,6 +17,7 @@ static const real KEPT = (real)1e-4;       /* share of its start above which tau
 static const real STATIONARY = (real)0.1; /* share of its largest that the gradient has near a saddle */
 static const real WORTHWHILE = (real)0.05; /* shortest step off a saddle of a barrier problem */
 static const real RISE = 10;             /* of the objective along the dynamics, in units of what the violation costs that is gone */
+static const real WORTH = 3;             /* of what the objective gains, what it may cost to leave feasible points */
 static const real SLOWER = (real)0.2;     /* by which tau falls at least from one barrier problem to the next */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
 
@@ -98,14 +99,16 @@ static real heaviest(const kpirl_mpc_core *core, const kpirl_mpc_iterate *at) {
   return core->penalty > 0 ? costate : kpirl_mpc_max(costate, kpirl_mpc_norm_inf(at->nu, kpirl_mpc_n_equalities(core)));
 }
 
-/* Does the trial cost no more than what is violated is worth, with the multipliers before the step and after it? Near feasible points the
- * filter would take what violates constraints less at any cost: also where a nearly singular Hessian makes steps a billion times too
- * long. */
+/* Does the trial cost no more than what is violated is worth, with the multipliers before the step and after it? And does it gain what
+ * leaving feasible points is worth, with those before? Near feasible points the filter would take what violates constraints less at any
+ * cost, and what costs less at any violation: also where a nearly singular Hessian makes steps a billion times too long. */
 static int affordable(const kpirl_mpc_core *core, kpirl_mpc_merit before, kpirl_mpc_merit trial) {
   const kpirl_mpc_iterate *at = &core->at, *change = &core->step.change;
   const int m = kpirl_mpc_n_inequalities(core);
   const real price = heaviest(core, at) + heaviest(core, change) + kpirl_mpc_norm_inf(at->z, m) + kpirl_mpc_norm_inf(change->z, m);
-  if (before.theta <= core->filter.feasible || before.theta > core->filter.small) return 1;
+  if (before.theta > core->filter.small) return 1;
+  if (trial.theta > core->filter.small && heaviest(core, at) * (trial.theta - before.theta) > WORTH * (before.phi - trial.phi)) return 0;
+  if (before.theta <= core->filter.feasible) return 1;
   return trial.phi - before.phi <= RISE * price * before.theta + ROUNDING * kpirl_mpc_abs(before.phi);
 }
 
@@ -143,12 +146,9 @@ static int move_along(kpirl_mpc_core *core, real least) {
   return 0;
 }
 
-/* Another barrier function has another filter; without inequalities there is none. Where tau rose and falls again, predictors may raise it
- * to a share of that from then on: else a large tau and a small one could take turns for ever, each with a new filter. */
+/* Another barrier function has another filter; without inequalities there is none. */
 static void set_tau(kpirl_mpc_core *core, real tau) {
   const int changed = tau != core->tau;
-  if (tau < core->tau && core->rising) core->most_tau = SLOWER * core->tau;
-  if (changed) core->rising = tau > core->tau;
   core->tau = tau;
   if (changed && kpirl_mpc_n_inequalities(core) > 0) kpirl_mpc_start_filter(core);
 }

@@ -60,14 +60,13 @@ static void predict(kpirl_mpc_core *core, real least) {
   const int m = kpirl_mpc_n_inequalities(core);
   const kpirl_mpc_iterate *first = &core->first.change;
   lengths length;
-  real mu, share, next;
+  real mu, share;
   int i;
   kpirl_mpc_step_to_target(core, &core->first.change);
   length = to_the_boundary(core, first);
   mu = products_after(core, first, none).mean;
   share = products_after(core, first, length).mean / mu;
-  next = kpirl_mpc_min(mu * kpirl_mpc_min(share * share * share, GROWTH), kpirl_mpc_max(core->tau, core->most_tau));
-  core->step.tau = core->options.barrier > 0 ? least : kpirl_mpc_max(least, next);
+  core->step.tau = core->options.barrier > 0 ? least : kpirl_mpc_max(least, mu * kpirl_mpc_min(share * share * share, GROWTH));
   for (i = 0; i < m; ++i) core->target[i] = core->step.tau;
   if (kpirl_mpc_min(length.primal, length.dual) > CORRECTED) aim_at_second_order(core, first);
 }

@@ -119,8 +119,7 @@ static void begin_with(kpirl_mpc_core *core, real tau) {
   core->tau = core->start_tau = core->indefinite_tau = tau;
   core->most_violation = core->most_gradient = 0;
   core->held = core->indefinite = 0;
-  core->escaped_tau = core->most_tau = (real)INFINITY;
-  core->rising = 0;
+  core->escaped_tau = (real)INFINITY;
   core->regularisation = core->step.regularisation = 0;
   core->step.positive = 0; /* there was no step yet */
   core->step.primal_length = 1;
