@@ -293,7 +293,7 @@ def test_nonlinear_cases_in_odd_units_converge(case):
 
 @pytest.mark.parametrize("case", problems(tiny=False), ids=lambda case: case.name)
 def test_control_problems_of_the_benchmark_take_at_most_half_as_many_iterations_again_as_with_ipopt(case):
-    """Without costates, and from rest: the quadrotor took 1.9 times as many where weights just made its Hessian positive."""
+    """From rest: the quadrotor took 1.9 times as many where weights just made its Hessian positive."""
     ours, theirs = (board.solved_quietly(solver, *case.arguments) for solver in (Riccati(), Ipopt()))
     assert ours.status is theirs.status is Status.CONVERGED
     assert ours.iterations <= 1.5 * theirs.iterations
