@@ -9,7 +9,7 @@ static const real FIRST = (real)1e-4, SMALLEST = (real)1e-12; /* weights, in uni
 static const real STRONGEST = (real)1e10; /* weight, relative to the scale of the problem, that leads nowhere */
 static const real STRONGEST_OFF = 1; /* the same off the dynamics: gaps closed at any cost make costates as large as the weight, and
                                       * these a Hessian that needs a larger one */
-static const real FIRST_FACTOR = 100, FACTOR = 8, FALL = (real)3.2; /* by which it grows, before one is known and then; and falls */
+static const real FIRST_FACTOR = 100, FACTOR = 8, FALL = 3; /* by which it grows, before one is known and then; and falls */
 static const real LEAST_FACTOR = 2, MARGIN = 4; /* by which it grows at least; times what a pivot lacks, at most */
 
 /* The largest entry of the Hessian, if that is less than 1: in other units of the cost the weights are others. */
