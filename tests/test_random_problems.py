@@ -66,7 +66,7 @@ def solved_as_soon_as_by_ipopt(seed):
 
 @pytest.mark.parametrize("seed", [211, 3305])
 def test_a_hessian_that_lacks_little_is_regularised_little(seed):
-    """These took 1.7 and 13 times as many as Ipopt, in short steps, when weights grew eightfold whatever was lacking."""
+    """These took 1.7 and 13 times as many as Ipopt, in short steps, when weights grew eightfold whatever lacked."""
     assert solved_as_soon_as_by_ipopt(seed)
 
 
