@@ -99,17 +99,28 @@ static real heaviest(const kpirl_mpc_core *core, const kpirl_mpc_iterate *at) {
   return core->penalty > 0 ? costate : kpirl_mpc_max(costate, kpirl_mpc_norm_inf(at->nu, kpirl_mpc_n_equalities(core)));
 }
 
-/* Does the trial cost no more than what is violated is worth, with the multipliers before the step and after it? And does it gain what
- * leaving feasible points is worth, with those before? Near feasible points the filter would take what violates constraints less at any
- * cost, and what costs less at any violation: also where a nearly singular Hessian makes steps a billion times too long. */
-static int affordable(const kpirl_mpc_core *core, kpirl_mpc_merit before, kpirl_mpc_merit trial) {
+/* Does the objective rise by no more than what is violated is worth, with the multipliers before the step and after it? Near feasible
+ * points the filter would take what violates constraints less at any cost: also where a nearly singular Hessian makes steps a billion
+ * times too long. */
+static int worth_its_cost(const kpirl_mpc_core *core, kpirl_mpc_merit before, kpirl_mpc_merit trial) {
   const kpirl_mpc_iterate *at = &core->at, *change = &core->step.change;
   const int m = kpirl_mpc_n_inequalities(core);
   const real price = heaviest(core, at) + heaviest(core, change) + kpirl_mpc_norm_inf(at->z, m) + kpirl_mpc_norm_inf(change->z, m);
-  if (before.theta > core->filter.small) return 1;
-  if (trial.theta > core->filter.small && heaviest(core, at) * (trial.theta - before.theta) > WORTH * (before.phi - trial.phi)) return 0;
-  if (before.theta <= core->filter.feasible) return 1;
   return trial.phi - before.phi <= RISE * price * before.theta + ROUNDING * kpirl_mpc_abs(before.phi);
+}
+
+/* Does the objective fall by what leaving feasible points costs, with the multipliers before the step? Else the filter would take what
+ * costs less at any violation. */
+static int worth_leaving(kpirl_mpc_merit before, real price, kpirl_mpc_merit trial) {
+  return price * (trial.theta - before.theta) <= WORTH * (before.phi - trial.phi);
+}
+
+/* Does the filter accept the trial, and is it worth what it costs where little is violated? */
+static int fits(kpirl_mpc_core *core, kpirl_mpc_merit before, real slope, real length, real price, kpirl_mpc_merit trial) {
+  const real small = core->filter.small, theta = before.theta;
+  if (theta <= small && trial.theta > small && !worth_leaving(before, price, trial)) return 0;
+  if (theta <= small && theta > core->filter.feasible && !worth_its_cost(core, before, trial)) return 0;
+  return kpirl_mpc_filter_accepts(&core->filter, before, slope, length, price, trial);
 }
 
 /* Move by the longest length that the filter accepts, if there is one above a fraction `least` of the whole step; far from
@@ -132,7 +143,7 @@ static int move_along(kpirl_mpc_core *core, real least) {
   while (length >= shortest) {
     ++core->trials;
     kpirl_mpc_trial_point(core, length, core->lifted, &trial);
-    if ((tiny && isfinite(trial.phi)) || (affordable(core, before, trial) && kpirl_mpc_filter_accepts(&core->filter, before, slope, length, price, trial)) ||
+    if ((tiny && isfinite(trial.phi)) || fits(core, before, slope, length, price, trial) ||
         (isfinite(trial.phi) && trial.theta >= before.theta && kpirl_mpc_lifts(core) &&
          corrected_fits(core, before, slope, length, price))) {
       core->step.primal_length = length;
