@@ -6,10 +6,17 @@
  *     phi(g) = min rho e - tau (log y + log e)        over y, e > 0,  y - e = -g,
  *     psi(c) = min rho (p + n) - tau (log p + log n)  over p, n > 0,  p - n = c,
  *
- * whose minimisers, slopes z and nu, and curvatures have closed forms:
+ * whose minimisers and slopes have closed forms:
  *
- *     y(g) = (2 tau - rho g + sqrt(rho^2 g^2 + 4 tau^2)) / (2 rho),  e = y(-g),  z = tau / y,            z' = tau / (y^2 + e^2)
- *     n(c) = (tau - rho c + sqrt(rho^2 c^2 + tau^2)) / (2 rho),      p = n(-c),  nu = (tau/n - tau/p)/2,  nu' = tau / (p^2 + n^2)
+ *     y(g) = (2 tau - rho g + sqrt(rho^2 g^2 + 4 tau^2)) / (2 rho),  e = y(-g),  phi' = tau / y,
+ *     n(c) = (tau - rho c + sqrt(rho^2 c^2 + tau^2)) / (2 rho),      p = n(-c),  psi' = (tau/n - tau/p) / 2.
+ *
+ * Multipliers z in (0, rho) and nu in (-rho, rho) are iterates beside x. Newton's method on
+ *
+ *     y z = tau,  e (rho - z) = tau        and        n (rho + nu) = tau,  p (rho - nu) = tau
+ *
+ * has the curvatures 1 / (y/z + e/(rho - z)) and 1 / (n/(rho + nu) + p/(rho - nu)). They are phi'' and psi'' where z and nu are the
+ * slopes; elsewhere, as where tau has just fallen, steps with phi'' itself would be short ones.
  *
  * g and c are divided by the sizes of their gradients first, so that units of constraints change nothing.
  */
@@ -42,22 +49,30 @@ static real slack(real rho, real width, real g) {
   return a > 0 ? (a + root) / (2 * rho) : width * g / (root - a);
 }
 
-/* phi of inequality i, with the slope z and the curvature. */
-static real penalise_inequality(const kpirl_mpc_core *core, int i, real g, real *z, real *curvature) {
-  const real rho = core->penalty, tau = core->tau, size = core->row_sizes[i];
-  const real y = slack(rho, 2 * tau, g / size), e = slack(rho, 2 * tau, -g / size);
-  *z = tau / y / size;
-  *curvature = tau / (y * y + e * e) / (size * size);
-  return rho * e - tau * KPIRL_MPC_MATH(log)(y * e);
+/* y and e of inequality i where g is its value, and the size of its gradient; n and p of equality i. */
+typedef struct { real y, e, size; } inequality_slacks;
+typedef struct { real n, p, size; } equality_slacks;
+
+static inequality_slacks slacks_of_inequality(const kpirl_mpc_core *core, int i, real g) {
+  const real rho = core->penalty, width = 2 * core->tau, size = core->row_sizes[i];
+  const inequality_slacks s = {slack(rho, width, g / size), slack(rho, width, -g / size), size};
+  return s;
 }
 
-/* psi of equality i, with the slope nu and the curvature. */
-static real penalise_equality(const kpirl_mpc_core *core, int i, real c, real *nu, real *curvature) {
-  const real rho = core->penalty, tau = core->tau, size = core->row_sizes[kpirl_mpc_n_inequalities(core) + i];
-  const real n = slack(rho, tau, c / size), p = slack(rho, tau, -c / size);
-  *nu = (tau / n - tau / p) / 2 / size;
-  *curvature = tau / (p * p + n * n) / (size * size);
-  return rho * (p + n) - tau * KPIRL_MPC_MATH(log)(p * n);
+static equality_slacks slacks_of_equality(const kpirl_mpc_core *core, int i, real c) {
+  const real rho = core->penalty, width = core->tau, size = core->row_sizes[kpirl_mpc_n_inequalities(core) + i];
+  const equality_slacks s = {slack(rho, width, c / size), slack(rho, width, -c / size), size};
+  return s;
+}
+
+static real slope_of_inequality(const kpirl_mpc_core *core, int i) {
+  const inequality_slacks s = slacks_of_inequality(core, i, core->d.g[i]);
+  return core->tau / s.y / s.size;
+}
+
+static real slope_of_equality(const kpirl_mpc_core *core, int i) {
+  const equality_slacks s = slacks_of_equality(core, i, core->d.c[i]);
+  return (core->tau / s.n - core->tau / s.p) / 2 / s.size;
 }
 
 /* The largest entry of columns of `stages` matrices (rows, .), `stride` numbers from one to the next; 1 where all are zero. */
@@ -98,42 +113,91 @@ int kpirl_mpc_too_heavy(kpirl_mpc_core *core, const real *multipliers, int first
 
 real kpirl_mpc_penalty(const kpirl_mpc_core *core, const real *g, const real *c) {
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
-  real sum = 0, slope, curvature;
+  real sum = 0;
   int i;
-  for (i = 0; i < m; ++i)
-    if (kpirl_mpc_is_elastic(core, i)) sum += penalise_inequality(core, i, g[i], &slope, &curvature);
-  for (i = 0; i < n_c; ++i) sum += penalise_equality(core, i, c[i], &slope, &curvature);
+  for (i = 0; i < m; ++i) {
+    const inequality_slacks s = slacks_of_inequality(core, i, g[i]);
+    if (kpirl_mpc_is_elastic(core, i)) sum += core->penalty * s.e - core->tau * KPIRL_MPC_MATH(log)(s.y * s.e);
+  }
+  for (i = 0; i < n_c; ++i) {
+    const equality_slacks s = slacks_of_equality(core, i, c[i]);
+    sum += core->penalty * (s.n + s.p) - core->tau * KPIRL_MPC_MATH(log)(s.n * s.p);
+  }
   return sum;
 }
 
-/* y and z of elastic rows, so that z / y is the curvature and the step's force is the slope, see kpirl_mpc_newton.c. */
-void kpirl_mpc_relax(kpirl_mpc_core *core) {
+/* The slopes of the penalty at the iterate, in place of z of elastic rows and of nu. */
+void kpirl_mpc_penalty_slopes(const kpirl_mpc_core *core, real *z, real *nu) {
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
-  real curvature;
   int i;
-  for (i = 0; i < m; ++i) {
-    if (!kpirl_mpc_is_elastic(core, i)) continue;
-    penalise_inequality(core, i, core->d.g[i], &core->at.z[i], &curvature);
-    core->at.y[i] = core->at.z[i] / curvature;
-  }
-  for (i = 0; i < n_c; ++i) penalise_equality(core, i, core->d.c[i], &core->at.nu[i], &core->stiffness[i]);
+  for (i = 0; i < m; ++i)
+    if (kpirl_mpc_is_elastic(core, i)) z[i] = slope_of_inequality(core, i);
+  for (i = 0; i < n_c; ++i) nu[i] = slope_of_equality(core, i);
 }
 
-/* The derivative of the penalty along the step, of which elastic rows are no part: nothing limits its length for them. */
+/* The curvatures: stiffness of equalities, and y of elastic rows so that z / y is theirs, see kpirl_mpc_newton.c. */
+void kpirl_mpc_weigh_elastic(kpirl_mpc_core *core) {
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+  const real rho = core->penalty;
+  int i;
+  for (i = 0; i < m; ++i) {
+    const inequality_slacks s = slacks_of_inequality(core, i, core->d.g[i]);
+    const real z = core->at.z[i] * s.size;
+    if (kpirl_mpc_is_elastic(core, i)) core->at.y[i] = (s.y / z + s.e / (rho - z)) * z * s.size;
+  }
+  for (i = 0; i < n_c; ++i) {
+    const equality_slacks s = slacks_of_equality(core, i, core->d.c[i]);
+    const real nu = core->at.nu[i] * s.size;
+    core->stiffness[i] = 1 / (s.n / (rho + nu) + s.p / (rho - nu)) / (s.size * s.size);
+  }
+}
+
+/* How far products of slacks and multipliers are from tau. */
+real kpirl_mpc_elastic_complementarity(const kpirl_mpc_core *core) {
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+  const real rho = core->penalty, tau = core->tau;
+  real off = 0;
+  int i;
+  for (i = 0; i < m; ++i) {
+    const inequality_slacks s = slacks_of_inequality(core, i, core->d.g[i]);
+    const real z = core->at.z[i] * s.size;
+    if (!kpirl_mpc_is_elastic(core, i)) continue;
+    off = kpirl_mpc_max(kpirl_mpc_max(kpirl_mpc_abs(s.y * z - tau), kpirl_mpc_abs(s.e * (rho - z) - tau)), off);
+  }
+  for (i = 0; i < n_c; ++i) {
+    const equality_slacks s = slacks_of_equality(core, i, core->d.c[i]);
+    const real nu = core->at.nu[i] * s.size;
+    off = kpirl_mpc_max(kpirl_mpc_max(kpirl_mpc_abs(s.n * (rho + nu) - tau), kpirl_mpc_abs(s.p * (rho - nu) - tau)), off);
+  }
+  return off;
+}
+
+/* The change of a multiplier between `least` and `most` towards a value, no farther than the fraction to the boundary. */
+static real change_within(real from, real to, real least, real most) {
+  const real lowest = from - KPIRL_MPC_BOUNDARY * (from - least), highest = from + KPIRL_MPC_BOUNDARY * (most - from);
+  return kpirl_mpc_max(lowest, kpirl_mpc_min(to, highest)) - from;
+}
+
+/* Elastic rows limit no step: their slacks follow x, and each multiplier goes as far as it can. Also the derivative of the penalty along
+ * the step. */
 void kpirl_mpc_elastic_step(kpirl_mpc_core *core) {
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
   const kpirl_mpc_iterate *at = &core->at;
-  kpirl_mpc_step *step = &core->step;
+  kpirl_mpc_iterate *change = &core->step.change;
   int i;
-  step->penalty_slope = 0;
+  core->step.penalty_slope = 0;
   for (i = 0; i < m; ++i) {
+    const real dg = -(core->d.g[i] + at->y[i] + change->y[i]);
     if (!kpirl_mpc_is_elastic(core, i)) continue;
-    step->penalty_slope -= at->z[i] * (core->d.g[i] + at->y[i] + step->change.y[i]);
-    step->change.y[i] = step->change.z[i] = 0;
+    core->step.penalty_slope += slope_of_inequality(core, i) * dg;
+    change->y[i] = 0;
+    change->z[i] = change_within(at->z[i], at->z[i] + change->z[i], 0, core->penalty / core->row_sizes[i]);
   }
   for (i = 0; i < n_c; ++i) {
-    step->penalty_slope += at->nu[i] * (step->change.nu[i] / core->stiffness[i] - core->d.c[i]);
-    step->change.nu[i] = 0;
+    const real most = core->penalty / core->row_sizes[m + i], slope = slope_of_equality(core, i);
+    const real dc = change->nu[i] / core->stiffness[i] - core->d.c[i];
+    core->step.penalty_slope += slope * dc;
+    change->nu[i] = change_within(at->nu[i], slope + core->stiffness[i] * dc, -most, most);
   }
 }
 

@@ -50,16 +50,18 @@ static void swap(kpirl_mpc_iterate *a, kpirl_mpc_iterate *b) {
 
 /* Go to the trial point; `level` says how much to find out about it. */
 void kpirl_mpc_accept_trial(kpirl_mpc_core *core, int level) {
-  const int m = kpirl_mpc_n_inequalities(core);
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
+  const real length = core->step.dual_length;
   int i;
-  for (i = 0; i < m; ++i) core->trial.z[i] = core->at.z[i] + core->step.dual_length * core->step.change.z[i];
+  for (i = 0; i < m; ++i) core->trial.z[i] = core->at.z[i] + length * core->step.change.z[i];
+  if (core->penalty > 0) {
+    memcpy(core->d.c, core->trial.nu, (size_t)n_c * sizeof(real));
+    for (i = 0; i < n_c; ++i) core->trial.nu[i] = core->at.nu[i] + length * core->step.change.nu[i];
+  }
   swap(&core->at, &core->trial);
   kpirl_mpc_inequalities(core, core->at.x, core->force + kpirl_mpc_n_bounds(core), core->d.g);
   kpirl_mpc_centre(core);
-  if (core->penalty > 0) {
-    memcpy(core->d.c, core->at.nu, (size_t)kpirl_mpc_n_equalities(core) * sizeof(real));
-    kpirl_mpc_relax(core);
-  }
+  if (core->penalty > 0) kpirl_mpc_weigh_elastic(core);
   kpirl_mpc_differentiate(core, level);
 }
 

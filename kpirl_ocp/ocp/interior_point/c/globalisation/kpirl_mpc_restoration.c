@@ -10,8 +10,9 @@
 
 static const real FIRST = (real)1e3, LAST = (real)1e7; /* penalties, relative to the gradient of J */
 static const real LEFT = (real)0.01;    /* share of the violation that is left where the method proper goes on */
+static const real SOLVED = 10;          /* products of slacks and multipliers of a barrier problem that is, relative to tau */
 static const real LITTLE = (real)0.1;   /* share of the violation of a convex problem that may be unproved */
-static const real LOWERED = (real)0.1, LAST_TAU = (real)1e-4; /* factor of tau, and the last one relative to the first */
+static const real LOWERED = (real)0.04, LAST_TAU = (real)1e-4; /* factor of tau, and the last one relative to the first */
 
 /* The largest violation of a constraint, in units of core->row_sizes. */
 static real violation(const kpirl_mpc_core *core) {
@@ -25,9 +26,10 @@ static real violation(const kpirl_mpc_core *core) {
   return most;
 }
 
+/* Another tau, with the multipliers of the last one. */
 static void begin_barrier_problem(kpirl_mpc_core *core, real tau) {
   core->tau = tau;
-  kpirl_mpc_relax(core);
+  kpirl_mpc_weigh_elastic(core);
   kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
   kpirl_mpc_start_filter(core);
 }
@@ -47,6 +49,10 @@ static int beyond_duality_gap(const kpirl_mpc_core *core) {
   return logarithms * core->tau < LITTLE * core->penalty * sum;
 }
 
+static int barrier_problem_solved(const kpirl_mpc_core *core) {
+  return kpirl_mpc_subproblem_solved(core) && kpirl_mpc_elastic_complementarity(core) <= SOLVED * core->tau;
+}
+
 /* Was the last step a whole one, which promised less than tau? Residuals alone depend on the units of x. */
 static int settled(const kpirl_mpc_core *core) { return core->step.primal_length == 1 && -core->step.slope <= core->tau; }
 
@@ -56,7 +62,7 @@ static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real last, real enoug
   int first = 1, solved = 0;
   for (;;) {
     if (violation(core) <= enough) return KPIRL_MPC_RESTORED;
-    if (kpirl_mpc_subproblem_solved(core)) {
+    if (barrier_problem_solved(core)) {
       const int final = core->tau <= last || (!core->indefinite && beyond_duality_gap(core));
       if (final && solved) return KPIRL_MPC_SHOWN_INFEASIBLE;
       if (!final && (solved || first)) {
@@ -83,15 +89,18 @@ static kpirl_mpc_restoration restore_with(kpirl_mpc_core *core, real penalty, re
   int i;
   for (i = 0; i < bounds; ++i) at->z[i] = kpirl_mpc_max(at->z[i], kpirl_mpc_min(tau / at->y[i], penalty));
   core->penalty = penalty;
+  core->tau = tau;
+  kpirl_mpc_penalty_slopes(core, at->z, at->nu);
   begin_barrier_problem(core, tau);
   return descend(core, LAST_TAU * tau, enough);
 }
 
 /* With a larger penalty from a minimum for a smaller one: with the same slacks it nearly is one, too. */
 static kpirl_mpc_restoration raise_penalty(kpirl_mpc_core *core, real factor, real enough) {
-  const int bounds = kpirl_mpc_n_bounds(core);
+  const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
   int i;
-  for (i = 0; i < bounds; ++i) core->at.z[i] *= factor;
+  for (i = 0; i < m; ++i) core->at.z[i] *= factor;
+  for (i = 0; i < n_c; ++i) core->at.nu[i] *= factor;
   core->penalty *= factor;
   begin_barrier_problem(core, factor * core->tau);
   return descend(core, core->tau, enough);

@@ -130,6 +130,7 @@ void kpirl_mpc_centre(kpirl_mpc_core *core) {
   for (i = 0; i < m; ++i) {
     const real g = core->d.g[i];
     real centred;
+    if (kpirl_mpc_is_elastic(core, i)) continue;
     at->y[i] = isnan(g) ? g : kpirl_mpc_max(kpirl_mpc_max(at->y[i], -g), least_slack(core, i));
     if (is_used_up(core, i)) at->y[i] = (real)core->options.tolerance;
     centred = core->tau / at->y[i];

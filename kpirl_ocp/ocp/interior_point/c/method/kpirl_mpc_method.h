@@ -91,14 +91,16 @@ int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least);
 /* Go to the trial point; `level` says how much to find out about it. */
 void kpirl_mpc_accept_trial(kpirl_mpc_core *core, int level);
 
-/* elastic: is an inequality replaced by its penalty? The penalty at values of g and c; slacks and multipliers at an iterate;
+/* elastic: is an inequality replaced by its penalty? The penalty at values of g and c; its slopes and curvatures at the iterate;
  * what the step does to it; the end of it. */
 int kpirl_mpc_is_elastic(const kpirl_mpc_core *core, int row);
 int kpirl_mpc_has_elastic(const kpirl_mpc_core *core); /* is there one that could be? */
 void kpirl_mpc_measure_rows(kpirl_mpc_core *core); /* before elastic mode begins */
 int kpirl_mpc_too_heavy(kpirl_mpc_core *core, const real *multipliers, int first, int count); /* of rows from the first on */
 real kpirl_mpc_penalty(const kpirl_mpc_core *core, const real *g, const real *c);
-void kpirl_mpc_relax(kpirl_mpc_core *core);
+void kpirl_mpc_penalty_slopes(const kpirl_mpc_core *core, real *z, real *nu);
+void kpirl_mpc_weigh_elastic(kpirl_mpc_core *core);
+real kpirl_mpc_elastic_complementarity(const kpirl_mpc_core *core);
 void kpirl_mpc_elastic_step(kpirl_mpc_core *core);
 void kpirl_mpc_harden(kpirl_mpc_core *core);
 

@@ -86,14 +86,10 @@ static void set_gradient(kpirl_mpc_core *core, const real *z, const real *nu) {
   kpirl_mpc_equality_transposed_times(core, nu + core->n_fixed, core->right);
 }
 
-/* The change of x and costates where forces of inequalities are core->force. */
+/* The change of x and costates where forces of inequalities are core->force, and those of equalities change->nu. */
 static void solve_stages(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
-  const int n_c = kpirl_mpc_n_equalities(core);
   const kpirl_mpc_derivatives *d = &core->d;
-  real *fixing = change->nu;
-  int i;
-  for (i = 0; i < n_c; ++i) fixing[i] = core->at.nu[i] + (core->penalty > 0 ? 0 : d->c[i] * core->stiffness[i]);
-  set_gradient(core, core->force, fixing);
+  set_gradient(core, core->force, change->nu);
   kpirl_mpc_substitute(DIM(core, horizon), DIM(core, n_states), DIM(core, n_actions), core->bounds.n_free,
                        core->bounds.free_entries, d->F, &core->factors, core->right, d->defects, d->gap, core->scratch,
                        change->x, change->costates);
@@ -166,6 +162,8 @@ void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
   int i;
   for (i = 0; i < m; ++i)
     core->force[i] = core->target[i] / at->y[i] + core->weights[i] * kpirl_mpc_slack_residual(core, core->d.g[i], at->y[i]);
+  for (i = 0; i < n_c; ++i) change->nu[i] = at->nu[i] + core->d.c[i] * core->stiffness[i];
+  if (core->penalty > 0) kpirl_mpc_penalty_slopes(core, core->force, change->nu);
   solve_stages(core, change);
   memcpy(change->nu, core->d.c, (size_t)n_c * sizeof(real));
   find_equality_multipliers(core, change->x, change->nu);
@@ -211,7 +209,7 @@ void kpirl_mpc_newton_step(kpirl_mpc_core *core, real regularisation) {
   core->step.positive = kpirl_mpc_factorise(core, regularisation);
   if (!core->step.positive) return;
   core->step.regularisation = regularisation;
-  for (i = 0; i < m; ++i) core->target[i] = kpirl_mpc_is_elastic(core, i) ? -core->at.z[i] * core->d.g[i] : core->tau;
+  for (i = 0; i < m; ++i) core->target[i] = core->tau;
   kpirl_mpc_step_to_target(core, &core->step.change);
   if (core->penalty > 0) kpirl_mpc_elastic_step(core);
   kpirl_mpc_limit_lengths(core);
