@@ -53,17 +53,18 @@ typedef struct kpirl_mpc_step {
   int positive; /* is the Hessian along the dynamics? */
 } kpirl_mpc_step;
 
-/* Pairs (theta, phi) of violation and objective that no later iterate may be worse than in both. */
+/* Violation and barrier function phi = J - tau sum log y at a point. */
+typedef struct kpirl_mpc_merit {
+  real theta, phi, log_sum;
+} kpirl_mpc_merit;
+
+/* Pairs (theta, phi) that no later iterate may be worse than in both. */
 enum { KPIRL_MPC_FILTER_SIZE = 64 };
 typedef struct kpirl_mpc_filter {
   real largest, small, feasible; /* theta above which nothing is accepted, below which the objective decides, and rounding */
-  real theta[KPIRL_MPC_FILTER_SIZE], phi[KPIRL_MPC_FILTER_SIZE];
+  kpirl_mpc_merit pairs[KPIRL_MPC_FILTER_SIZE];
   int count;
 } kpirl_mpc_filter;
-
-typedef struct kpirl_mpc_merit {
-  real theta, phi;
-} kpirl_mpc_merit;
 
 /* A line of the log. */
 typedef struct kpirl_mpc_iteration {
@@ -118,6 +119,7 @@ typedef struct kpirl_mpc_core {
   real tolerance, regularisation, best[3]; /* best: the smallest residuals so far */
   double started;
   int iterations, trials, idle, creeping; /* idle: iterations since one of `best` was halved; creeping: since a step was long */
+  int rises;                   /* of tau in this attempt */
   int lifted, held;            /* are steps lifted, or along the dynamics? was tau held where the Hessian was not positive? */
   int indefinite;              /* was a Hessian not positive since this attempt or restoration began? */
   int no_costates;             /* are they zero because nothing is known about them? */

@@ -5,6 +5,8 @@
  */
 #include "kpirl_mpc_method.h"
 
+#include <string.h>
+
 static const real ROUNDING = 10 * KPIRL_MPC_EPSILON;
 static const real VIOLATION = (real)1e-5, OBJECTIVE = (real)1e-8, ARMIJO = (real)1e-4; /* sufficient decreases */
 
@@ -20,23 +22,23 @@ void kpirl_mpc_start_filter(kpirl_mpc_core *core) {
   filter->count = 0;
 }
 
+/* The same pairs for another tau. */
+void kpirl_mpc_shift_filter(kpirl_mpc_filter *filter, real from, real to) {
+  int i;
+  for (i = 0; i < filter->count; ++i) filter->pairs[i].phi -= (to - from) * filter->pairs[i].log_sum;
+}
+
 /* Without the pairs that the new one covers; a full filter forgets its oldest pair. */
-static void add(kpirl_mpc_filter *filter, real theta, real phi) {
+static void add(kpirl_mpc_filter *filter, kpirl_mpc_merit pair) {
+  kpirl_mpc_merit *pairs = filter->pairs;
   int i, kept = 0;
-  for (i = 0; i < filter->count; ++i) {
-    if (filter->theta[i] >= theta && filter->phi[i] >= phi) continue;
-    filter->theta[kept] = filter->theta[i];
-    filter->phi[kept++] = filter->phi[i];
-  }
+  for (i = 0; i < filter->count; ++i)
+    if (pairs[i].theta < pair.theta || pairs[i].phi < pair.phi) pairs[kept++] = pairs[i];
   if (kept == KPIRL_MPC_FILTER_SIZE) {
     --kept;
-    for (i = 0; i < kept; ++i) {
-      filter->theta[i] = filter->theta[i + 1];
-      filter->phi[i] = filter->phi[i + 1];
-    }
+    memmove(pairs, pairs + 1, (size_t)kept * sizeof(*pairs));
   }
-  filter->theta[kept] = theta;
-  filter->phi[kept] = phi;
+  pairs[kept] = pair;
   filter->count = kept + 1;
 }
 
@@ -46,7 +48,7 @@ int kpirl_mpc_filter_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, r
   int i;
   if (!isfinite(trial.theta) || !isfinite(trial.phi) || trial.theta > filter->largest) return 0;
   for (i = 0; i < filter->count; ++i)
-    if (trial.theta - filter->feasible >= filter->theta[i] && trial.phi - tolerated > filter->phi[i]) return 0;
+    if (trial.theta - filter->feasible >= filter->pairs[i].theta && trial.phi - tolerated > filter->pairs[i].phi) return 0;
   if (before.theta <= filter->feasible)
     return trial.phi <= before.phi + price * kpirl_mpc_max(before.theta - trial.theta, 0) +
                         ARMIJO * length * kpirl_mpc_min(slope, 0) + tolerated;
@@ -55,6 +57,8 @@ int kpirl_mpc_filter_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, r
     return trial.phi <= before.phi + ARMIJO * length * slope + tolerated;
   if (!(trial.theta <= (1 - VIOLATION) * before.theta || trial.phi <= before.phi - OBJECTIVE * before.theta + tolerated))
     return 0;
-  add(filter, (1 - VIOLATION) * before.theta, before.phi - OBJECTIVE * before.theta);
+  before.phi -= OBJECTIVE * before.theta;
+  before.theta *= 1 - VIOLATION;
+  add(filter, before);
   return 1;
 }

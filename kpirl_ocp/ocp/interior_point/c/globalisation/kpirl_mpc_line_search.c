@@ -19,6 +19,7 @@ static const real WORTHWHILE = (real)0.05; /* shortest step off a saddle of a ba
 static const real RISE = 10;             /* of the objective along the dynamics, in units of what the violation costs that is gone */
 static const real WORTH = 3;             /* of what the objective gains, what it may cost to leave feasible points */
 static const real SLOWER = (real)0.2;     /* by which tau falls at least from one barrier problem to the next */
+static const int RISES = 24;              /* of tau, each with a new filter */
 static const int ATTEMPTS = 6;            /* line searches at one iterate, each with a stronger regularisation */
 
 /* Derivative of J - tau sum log y along the step. */
@@ -140,7 +141,8 @@ static int move_along(kpirl_mpc_core *core, real least) {
   const real price = heaviest(core, &core->at);
   kpirl_mpc_merit before, trial;
   before.theta = core->d.violation;
-  before.phi = core->d.objective - step->tau * kpirl_mpc_hard_log_sum(core, core->at.y);
+  before.log_sum = kpirl_mpc_hard_log_sum(core, core->at.y);
+  before.phi = core->d.objective - step->tau * before.log_sum;
   if (core->penalty > 0) before.phi += kpirl_mpc_penalty(core, core->d.g, core->d.c);
   while (length >= shortest) {
     ++core->trials;
@@ -159,11 +161,17 @@ static int move_along(kpirl_mpc_core *core, real least) {
   return 0;
 }
 
-/* Another barrier function has another filter; without inequalities there is none. */
+/* Another barrier function has another filter; without inequalities there is none. But where tau rises again and again, the method may take
+ * turns between points for ever: then the filter keeps its pairs. */
 static void set_tau(kpirl_mpc_core *core, real tau) {
-  const int changed = tau != core->tau;
+  const real before = core->tau;
   core->tau = tau;
-  if (changed && kpirl_mpc_n_inequalities(core) > 0) kpirl_mpc_start_filter(core);
+  if (tau == before || kpirl_mpc_n_inequalities(core) == 0) return;
+  if (tau > before) ++core->rises;
+  if (core->rises > RISES)
+    kpirl_mpc_shift_filter(&core->filter, before, tau);
+  else
+    kpirl_mpc_start_filter(core);
 }
 
 /* tau for Newton steps where the Hessian is not positive: back to where it was when that began, or would start here. A tau that

@@ -85,7 +85,8 @@ void kpirl_mpc_trial_point(kpirl_mpc_core *core, real length, int lifted, kpirl_
   if (core->failed) theta = (real)NAN; /* outside the domain of a function: no place to go */
   core->failed = 0;
   merit->theta = theta;
-  merit->phi = outside ? (real)INFINITY : objective + penalty - core->step.tau * kpirl_mpc_hard_log_sum(core, trial->y);
+  merit->log_sum = kpirl_mpc_hard_log_sum(core, trial->y);
+  merit->phi = outside ? (real)INFINITY : objective + penalty - core->step.tau * merit->log_sum;
   for (i = 0; i < n_costates; ++i) trial->costates[i] = at->costates[i] + length * change->costates[i];
   if (core->penalty <= 0)
     for (i = 0; i < n_c; ++i) trial->nu[i] = at->nu[i] + length * change->nu[i];

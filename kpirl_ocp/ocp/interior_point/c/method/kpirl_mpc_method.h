@@ -122,6 +122,7 @@ void kpirl_mpc_log_iteration(const kpirl_mpc_core *core);
 
 /* filter */
 void kpirl_mpc_start_filter(kpirl_mpc_core *core);
+void kpirl_mpc_shift_filter(kpirl_mpc_filter *filter, real from, real to);
 /* Price: of violation, where it is rounding. */
 int kpirl_mpc_filter_accepts(kpirl_mpc_filter *filter, kpirl_mpc_merit before, real slope, real length, real price, kpirl_mpc_merit trial);
 

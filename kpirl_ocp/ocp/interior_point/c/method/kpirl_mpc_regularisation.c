@@ -18,9 +18,15 @@ real kpirl_mpc_unit_weight(const kpirl_mpc_core *core) {
   return largest > 0 ? kpirl_mpc_min(1, largest) : 1;
 }
 
+/* The least weight to try where one is needed. */
+static real first_weight(const kpirl_mpc_core *core) {
+  const real last = core->regularisation, unit = kpirl_mpc_unit_weight(core);
+  return last > 0 ? kpirl_mpc_max(last / FALL, SMALLEST * unit) : FIRST * unit;
+}
+
 /* A weight for steps that are too long with the last one. */
 real kpirl_mpc_stronger(const kpirl_mpc_core *core) {
-  return kpirl_mpc_max(FIRST_FACTOR * core->step.regularisation, kpirl_mpc_unit_weight(core) * FIRST);
+  return core->step.regularisation > 0 ? FIRST_FACTOR * core->step.regularisation : first_weight(core);
 }
 
 /* What the pivot lacks that is not positive. A weight on the identity adds at least itself to every pivot. Those of free entries of
@@ -44,15 +50,11 @@ static real larger(const kpirl_mpc_core *core, real rho) {
 /* The Newton step with this regularisation, or, where the Hessian is known to be `indefinite` with it or turns out to be, with as
  * much more as it needs; 0 if none is enough. */
 int kpirl_mpc_find_positive_step(kpirl_mpc_core *core, real regularisation, int indefinite) {
-  const real last = core->regularisation;
   const real strongest = (kpirl_mpc_off_dynamics(core) ? STRONGEST_OFF : STRONGEST) * core->d.scale;
   real rho = regularisation;
   if (!indefinite) kpirl_mpc_newton_step(core, rho);
   while (indefinite || !core->step.positive) {
-    if (rho > 0)
-      rho = larger(core, rho);
-    else
-      rho = last > 0 ? kpirl_mpc_max(last / FALL, kpirl_mpc_unit_weight(core) * SMALLEST) : kpirl_mpc_unit_weight(core) * FIRST;
+    rho = rho > 0 ? larger(core, rho) : first_weight(core);
     if (!(rho < strongest)) return 0;
     kpirl_mpc_newton_step(core, rho);
     indefinite = 0;

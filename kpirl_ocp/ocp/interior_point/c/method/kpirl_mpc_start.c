@@ -118,7 +118,7 @@ static void begin_with(kpirl_mpc_core *core, real tau) {
   int i;
   core->tau = core->start_tau = core->indefinite_tau = tau;
   core->most_violation = core->most_gradient = 0;
-  core->held = core->indefinite = 0;
+  core->held = core->indefinite = core->rises = 0;
   core->escaped_tau = (real)INFINITY;
   core->regularisation = core->step.regularisation = 0;
   core->step.positive = 0; /* there was no step yet */
