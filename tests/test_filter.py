@@ -11,20 +11,20 @@ SIZE = 64
 EPSILON = np.finfo(float).eps
 
 
+class Merit(ctypes.Structure):
+    """`kpirl_mpc_merit`."""
+
+    _fields_ = [(name, ctypes.c_double) for name in ("theta", "phi", "log_sum")]
+
+
 class Filter(ctypes.Structure):
     """`kpirl_mpc_filter`."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("largest", "small", "feasible")),
-        *((name, ctypes.c_double * SIZE) for name in ("theta", "phi")),
+        ("pairs", Merit * SIZE),
         ("count", ctypes.c_int),
     ]
-
-
-class Merit(ctypes.Structure):
-    """`kpirl_mpc_merit`."""
-
-    _fields_ = [("theta", ctypes.c_double), ("phi", ctypes.c_double)]
 
 
 def accepts(known, before, trial, slope=-1.0, length=1.0, price=0.0):
@@ -35,13 +35,13 @@ def accepts(known, before, trial, slope=-1.0, length=1.0, price=0.0):
 
 def filter_of(*pairs, feasible=1e-12, small=1e-4):
     known = Filter(largest=100.0, small=small, feasible=feasible, count=len(pairs))
-    for i, (theta, phi) in enumerate(pairs):
-        known.theta[i], known.phi[i] = theta, phi
+    for i, pair in enumerate(pairs):
+        known.pairs[i] = Merit(*pair)
     return known
 
 
 def pairs_of(known):
-    return list(zip(known.theta[: known.count], known.phi[: known.count], strict=True))
+    return [(pair.theta, pair.phi) for pair in known.pairs[: known.count]]
 
 
 @pytest.mark.parametrize(
@@ -111,3 +111,13 @@ def test_a_full_filter_forgets_its_oldest_pair():
     known = filter_of(*pairs)
     assert accepts(known, (1.0, 1.0), (0.5, 1.0))
     assert pairs_of(known) == [*pairs[1:], (1.0 - 1e-5, 1.0 - 1e-8)]
+
+
+def test_pairs_that_are_kept_are_those_of_another_barrier_function():
+    """phi = J - tau sum log y of two points, J = 1 and 2, sums 3 and -5, for tau = 0.1, then 0.4."""
+    known = filter_of((0.5, 1 - 0.1 * 3, 3), (0.2, 2 + 0.1 * 5, -5))
+    function = c.library().kpirl_mpc_shift_filter
+    function.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_double]
+    function.restype = None
+    function(ctypes.addressof(known), 0.1, 0.4)
+    np.testing.assert_allclose(pairs_of(known), [(0.5, 1 - 0.4 * 3), (0.2, 2 + 0.4 * 5)], rtol=4 * EPSILON)
