@@ -283,8 +283,8 @@ def test_one_step_that_leads_nowhere_leaves_tau_within_reach(case):
 @pytest.mark.parametrize("case", [85, 567, 681, 875, 1040, 4348, 4953, 7919, 21413, 21646, 21821])
 def test_nonlinear_cases_in_odd_units_converge(case):
     """Multipliers that grow a millionfold; steps along the dynamics that close a gap at any price; a filter that forgot
-    at every tau, though there was no inequality; turns between a large tau and a small one, each with a new filter (4348,
-    4953); steps as short as the first weight makes them, though a smaller one would do (85, 681, 7919).
+    at every tau, though there was no inequality; turns between a large tau and a small one, each with a new filter
+    (4348, 4953); steps as short as the first weight makes them, though a smaller one would do (85, 681, 7919).
     """
     given = draw(case)
     learner = given.demonstration
