@@ -16,7 +16,8 @@
  *     y z = tau,  e (rho - z) = tau        and        n (rho + nu) = tau,  p (rho - nu) = tau
  *
  * has the curvatures 1 / (y/z + e/(rho - z)) and 1 / (n/(rho + nu) + p/(rho - nu)). They are phi'' and psi'' where z and nu are the
- * slopes; elsewhere, as where tau has just fallen, steps with phi'' itself would be short ones.
+ * slopes; elsewhere, as where tau has just fallen, steps with phi'' itself would be short ones. But where the Hessian was not positive,
+ * z and nu stay the slopes: multipliers that lag hold the method in front of an obstacle more often than not.
  *
  * g and c are divided by the sizes of their gradients first, so that units of constraints change nothing.
  */
@@ -135,11 +136,13 @@ void kpirl_mpc_penalty_slopes(const kpirl_mpc_core *core, real *z, real *nu) {
   for (i = 0; i < n_c; ++i) nu[i] = slope_of_equality(core, i);
 }
 
-/* The curvatures: stiffness of equalities, and y of elastic rows so that z / y is theirs, see kpirl_mpc_newton.c. */
+/* The curvatures: stiffness of equalities, and y of elastic rows so that z / y is theirs, see kpirl_mpc_newton.c; of slopes, where these
+ * take the place of multipliers. */
 void kpirl_mpc_weigh_elastic(kpirl_mpc_core *core) {
   const int m = kpirl_mpc_n_inequalities(core), n_c = kpirl_mpc_n_equalities(core);
   const real rho = core->penalty;
   int i;
+  if (core->indefinite) kpirl_mpc_penalty_slopes(core, core->at.z, core->at.nu);
   for (i = 0; i < m; ++i) {
     const inequality_slacks s = slacks_of_inequality(core, i, core->d.g[i]);
     const real z = core->at.z[i] * s.size;

@@ -12,7 +12,8 @@ static const real FIRST = (real)1e3, LAST = (real)1e7; /* penalties, relative to
 static const real LEFT = (real)0.01;    /* share of the violation that is left where the method proper goes on */
 static const real SOLVED = 10;          /* products of slacks and multipliers of a barrier problem that is, relative to tau */
 static const real LITTLE = (real)0.1;   /* share of the violation of a convex problem that may be unproved */
-static const real LOWERED = (real)0.04, LAST_TAU = (real)1e-4; /* factor of tau, and the last one relative to the first */
+static const real LOWERED = (real)0.04, CAUTIOUS = (real)0.07; /* factors of tau; where a Hessian was not positive */
+static const real LAST_TAU = (real)1e-4; /* the last tau relative to the first */
 
 /* The largest violation of a constraint, in units of core->row_sizes. */
 static real violation(const kpirl_mpc_core *core) {
@@ -66,7 +67,7 @@ static kpirl_mpc_restoration descend(kpirl_mpc_core *core, real last, real enoug
       const int final = core->tau <= last || (!core->indefinite && beyond_duality_gap(core));
       if (final && solved) return KPIRL_MPC_SHOWN_INFEASIBLE;
       if (!final && (solved || first)) {
-        begin_barrier_problem(core, LOWERED * core->tau);
+        begin_barrier_problem(core, (core->indefinite ? CAUTIOUS : LOWERED) * core->tau);
         first = solved = 0;
         continue;
       }
