@@ -19,7 +19,7 @@ from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
 from kpirl_ocp.ocp.interior_point.machine_code import Compile, prepare, prepare_function
 from kpirl_ocp.ocp.interior_point.results import RESULT, solution_row, solutions_in
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
-from kpirl_ocp.ocp.interior_point.tapes import REPAID, Tape, Tapes, read_tapes
+from kpirl_ocp.ocp.interior_point.tapes import Tape, Tapes, dense_entries, read_tapes
 from kpirl_ocp.ocp.problem.layout import by_stage, check_multipliers
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess, StageDerivatives, check_guess
@@ -38,16 +38,15 @@ class Core:
         self._library = c.library()
         self.problem = problem
         self._kept: list[Any] = []  # arrays and evaluators that the C code has pointers to
+        self._schedule = np.ascontiguousarray(problem.schedule, float)
         self._patterns = self._find_patterns()
         self._code: Mapping[str, int] | None = None
-        self._tapes: list[tuple[Tape, Tape]] | None = None
         self._model = self._make_model()
         dimensions, bounds = dimensions_of(self.problem), self._bounds()
         given = [ctypes.byref(x) for x in (dimensions, bounds, self._model)]
         self._memory = np.zeros(self._library.kpirl_mpc_core_size(*given), np.uint8)
         self._core = self._library.kpirl_mpc_core_init(*given, ctypes.c_void_p(self._memory.ctypes.data))
         self._n_w = self._library.kpirl_mpc_n_point(self._core)
-        self._schedule = np.ascontiguousarray(problem.schedule, float)
         self._view = c.View()
         self._wish: Compile = "auto"
         self._evaluations = 0
@@ -113,11 +112,10 @@ class Core:
         return solutions
 
     def _use(self, wish: Compile) -> None:
-        """The machine code that there is by now, or none, as is wished; and without it, tapes where they pay."""
+        """The machine code that there is by now, or none, as is wished."""
         self._wish, code = wish, prepare(self.problem, wish, self._evaluations)
-        tapes = read_tapes(self.problem) if code is None and self._evaluations > REPAID else None
-        if code is not self._code or tapes is not self._tapes:
-            self._code, self._tapes = code, tapes
+        if code is not self._code:
+            self._code = code
             self._model = self._make_model()
             self._library.kpirl_mpc_core_set_model(self._core, ctypes.addressof(self._model))
 
@@ -149,19 +147,20 @@ class Core:
         return c.Bounds(*(array.ctypes.data for array in (lower, upper)), free.ctypes.data, len(free))
 
     def _make_model(self) -> Any:
-        """The functions, as machine code where there is some."""
+        """The functions: as machine code where there is some, else as tapes where they can be read as such."""
         if self.problem.derivatives is not None:
             functions, model = horizon_functions(self.problem), c.Model(by_stage=0)
             model.horizon[:] = [self._pointer(function, c.HORIZON) for function in functions.horizon]
             model.dynamics = self._pointer(functions.dynamics)
             return model
-        stages = stage_functions(self.problem)
-        model = c.Model(by_stage=1, quadratic=quadratic_program(self.problem), **self._patterns)
-        model.stage[:] = [self._pointer(function) for function in stages.stage]
-        model.last[:] = [self._pointer(function) for function in stages.last]
-        if self._tapes is not None:
-            model.by_stage, model.dynamics = 0, model.stage[0]
-            model.horizon[:] = [self._taped(*pair) for pair in self._tapes]
+        stages, tapes = stage_functions(self.problem), read_tapes(self.problem) if self._code is None else None
+        model = c.Model(by_stage=tapes is None, quadratic=quadratic_program(self.problem), **self._patterns)
+        if tapes is None:
+            model.stage[:] = [self._pointer(function) for function in stages.stage]
+            model.last[:] = [self._pointer(function) for function in stages.last]
+        else:
+            model.horizon[:] = [self._taped(*pair) for pair in tapes]
+            model.dynamics = self._pointer(stages.stage[0])
         return model
 
     def _taped(self, stage: Tape, last: Tape) -> Any:
@@ -187,9 +186,7 @@ class Core:
         return stage | {f"{name}_last": self._pattern(last, name) for name in ("G", "E", "H")}
 
     def _pattern(self, function: ca.Function, name: str) -> Any:
-        sparsity = function.sparsity_out(name)
-        rows, columns = (np.array(x, np.intc) for x in sparsity.get_triplet())
-        entries = np.ascontiguousarray(rows + columns * sparsity.size1(), np.intc)
+        entries = dense_entries(function.sparsity_out(name))
         self._kept.append(entries)
         return c.Pattern(len(entries), entries.ctypes.data)
 

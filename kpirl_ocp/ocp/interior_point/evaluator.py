@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from functools import lru_cache
-from pathlib import Path
+from functools import cache, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kpirl_ocp.ocp.codegen.numpy_calls import Build, native
-from kpirl_ocp.ocp.interior_point.library import Buffered, CompiledFunction, Function, symbol
+from kpirl_ocp.ocp.interior_point.library import Buffered, CompiledFunction, Function, address_in, symbol
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.types import Array
 
@@ -40,7 +39,8 @@ class VirtualMachine:
         self._sizes = [np.array(side, np.intc) for side in sizes]
         self._pointers = [np.array([array.ctypes.data for array in side], np.uintp) for side in self._arrays]
         addresses = [array.ctypes.data for side in (self._places, self._sizes, self._pointers) for array in side]
-        self._structure = Buffered(*_members(), _address_of(self._buffer), n_in, n_out, *addresses)
+        members = member(_EVALUATE), member(_STATUS)
+        self._structure = Buffered(*members, _address_of(self._buffer), n_in, n_out, *addresses)
 
     @property
     def pointer(self) -> Any:
@@ -107,14 +107,10 @@ def _places(function: ca.Function, names: Names) -> list[NDArray[np.intc]]:
     return [np.array([known.index(name) for name in own], np.intc) for known, own in sides]
 
 
-@lru_cache(maxsize=1)
-def _members() -> tuple[int | None, int | None]:
-    """Addresses of FunctionBuffer's members; CasADi is loaded already, so that this only finds it."""
-    folder = Path(ca.__file__).parent
-    (path, *_) = [*folder.glob("libcasadi.so*"), *folder.glob("libcasadi.dylib")]
-    casadi = ctypes.CDLL(str(path))
-    evaluate, status = (ctypes.cast(getattr(casadi, name), ctypes.c_void_p).value for name in (_EVALUATE, _STATUS))
-    return evaluate, status
+@cache
+def member(name: str) -> int:
+    """The address of a function of CasADi, or of the libraries that it uses, by its mangled name."""
+    return address_in(ctypes.CDLL(ca._casadi.__file__), name)  # loaded already, so that this only finds it
 
 
 def _address_of(buffer: ca.FunctionBuffer) -> int | None:

@@ -133,6 +133,7 @@ Tape = _structure("Tape", operations=POINTER, constants=POINTER, n_operations=IN
 Tapes = _structure(
     "Tapes", stage=Tape, last=Tape, dimensions=Dimensions, schedule=POINTER, slots=POINTER, costs=POINTER
 )
+Members = _structure("Members", **dict.fromkeys(("kind", "constant", "output", "input", "release"), POINTER))
 Factors = _structure("Factors", **dict.fromkeys(("P", "W", "Y", "pivots", "free_W", "free_pivots"), POINTER))
 System = _structure(
     "System",
@@ -217,7 +218,12 @@ def library() -> ctypes.CDLL:
 
 def symbol(name: str) -> int:
     """The address of a function of the library."""
-    address = ctypes.cast(getattr(library(), name), ctypes.c_void_p).value
+    return address_in(library(), name)
+
+
+def address_in(loaded: ctypes.CDLL, name: str) -> int:
+    """The address of a function of any library."""
+    address = ctypes.cast(getattr(loaded, name), ctypes.c_void_p).value
     assert address is not None
     return address
 
@@ -247,7 +253,7 @@ def address_of(array: NDArray[Any]) -> int:
 def _layout() -> int:
     """The sizes of all structures that cross over."""
     crossing = (Dimensions, Model, Bounds, Numbers, Options, Start, View, Residuals, Iteration)
-    functions, systems = (Buffered, CompiledFunction, Tapes), (System, Triple, Rows, KKT)
+    functions, systems = (Buffered, CompiledFunction, Tapes, Members), (System, Triple, Rows, KKT)
     kinds = (*crossing, *functions, *systems, Evidence, ByParameters, Result, Questions, Answers)
     return sum((i + 1) * ctypes.sizeof(kind) for i, kind in enumerate(kinds))
 
@@ -285,6 +291,7 @@ def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
         getattr(core, f"kpirl_mpc_core_{name}").argtypes = [POINTER] * 2
     for name, count in _OF_SYSTEMS.items():
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER] * count
+    core.kpirl_mpc_read_operations.argtypes = [POINTER, POINTER, INT, INT, POINTER, POINTER]
     core.kpirl_mpc_all_finite.argtypes = [POINTER, INT]
     core.kpirl_mpc_certify_each.argtypes = [*[POINTER] * 4, INT, *[POINTER] * 2]
     core.kpirl_mpc_certify_each.restype = None

@@ -29,6 +29,7 @@ from kpirl_ocp.ocp.codegen.kernels import with_fast_kernels, with_ordered_kernel
 from kpirl_ocp.ocp.codegen.library_cache import place, sound
 from kpirl_ocp.ocp.codegen.numpy_calls import Build, worth_compiling
 from kpirl_ocp.ocp.interior_point.horizon_functions import horizon_functions
+from kpirl_ocp.ocp.interior_point.library import address_in
 from kpirl_ocp.ocp.interior_point.stage_functions import stage_functions
 from kpirl_ocp.ocp.problem.ocp import OCP
 
@@ -71,7 +72,7 @@ class MachineCode:
         try:
             if sound(path):
                 library = ctypes.CDLL(str(path))
-                return {f.name(): _address(library, f.name()) for f in self._functions}
+                return {f.name(): address_in(library, f.name()) for f in self._functions}
         except FileNotFoundError:  # removed by another process
             return None
         except (OSError, AttributeError):
@@ -150,12 +151,6 @@ def _start(command: str, flags: Sequence[str], source: str, library: Path) -> su
     words = [command, *flags, str(code), "-o", str(built), "-lm"]
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     return subprocess.Popen(["sh", "-c", _SCRIPT, *arguments, *words], **silent)  # type: ignore[call-overload]
-
-
-def _address(library: ctypes.CDLL, name: str) -> int:
-    address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
-    assert address is not None
-    return address
 
 
 @lru_cache(maxsize=64)

@@ -79,9 +79,9 @@ int kpirl_mpc_layout(void) {
       sizeof(kpirl_mpc_dimensions), sizeof(kpirl_mpc_model), sizeof(kpirl_mpc_bounds), sizeof(kpirl_mpc_numbers),
       sizeof(kpirl_mpc_options), sizeof(kpirl_mpc_start), sizeof(kpirl_mpc_view), sizeof(kpirl_mpc_residuals),
       sizeof(kpirl_mpc_iteration), sizeof(kpirl_mpc_buffered), sizeof(kpirl_mpc_compiled), sizeof(kpirl_mpc_tapes),
-      sizeof(kpirl_mpc_system), sizeof(kpirl_mpc_triple), sizeof(kpirl_mpc_rows), sizeof(kpirl_mpc_kkt),
-      sizeof(kpirl_mpc_evidence), sizeof(kpirl_mpc_by_parameters), sizeof(kpirl_mpc_result), sizeof(kpirl_mpc_questions),
-      sizeof(kpirl_mpc_answers)};
+      sizeof(kpirl_mpc_members), sizeof(kpirl_mpc_system), sizeof(kpirl_mpc_triple), sizeof(kpirl_mpc_rows),
+      sizeof(kpirl_mpc_kkt), sizeof(kpirl_mpc_evidence), sizeof(kpirl_mpc_by_parameters), sizeof(kpirl_mpc_result),
+      sizeof(kpirl_mpc_questions), sizeof(kpirl_mpc_answers)};
   size_t sum = 0, i;
   for (i = 0; i < sizeof sizes / sizeof *sizes; ++i) sum += (i + 1) * sizes[i];
   return (int)sum;

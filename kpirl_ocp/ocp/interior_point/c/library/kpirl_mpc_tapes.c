@@ -150,3 +150,21 @@ int kpirl_mpc_evaluate_tapes(void *self, const kpirl_mpc_horizon_arguments *argu
   for (t = 0; t <= T; ++t) *results->cost += tapes->costs[t];
   return 0;
 }
+
+static void read_vector(const kpirl_mpc_members *members, kpirl_mpc_vector vector, int *first_and_last) {
+  const int some = vector.begin != vector.end;
+  first_and_last[0] = some ? (int)vector.begin[0] : 0;
+  first_and_last[1] = some ? (int)vector.end[-1] : 0;
+  members->release(vector.begin);
+}
+
+void kpirl_mpc_read_operations(const kpirl_mpc_members *members, const void *function, int count, int constant, int *rows,
+                               real *constants) {
+  int k;
+  for (k = 0; k < count; ++k, rows += 5) {
+    rows[0] = (int)members->kind(function, k);
+    read_vector(members, members->output(function, k), rows + 1);
+    read_vector(members, members->input(function, k), rows + 3);
+    if (rows[0] == constant) *constants++ = members->constant(function, k);
+  }
+}

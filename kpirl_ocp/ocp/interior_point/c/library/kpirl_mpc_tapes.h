@@ -32,4 +32,22 @@ int kpirl_mpc_evaluate_tapes(void *self, const kpirl_mpc_horizon_arguments *argu
 /* How many stages are evaluated side by side. */
 int kpirl_mpc_lanes(void);
 
+/* A vector of integers as it is in C++ libraries for Linux and macOS. */
+typedef struct kpirl_mpc_vector {
+  long long *begin, *end, *capacity;
+} kpirl_mpc_vector;
+
+/* Members of casadi::Function that tell about operation k of a function in scalar operations, and what frees their vectors. */
+typedef struct kpirl_mpc_members {
+  long long (*kind)(const void *function, long long k);
+  double (*constant)(const void *function, long long k);
+  kpirl_mpc_vector (*output)(const void *function, long long k), (*input)(const void *function, long long k);
+  void (*release)(void *memory);
+} kpirl_mpc_members;
+
+/* The first `count` operations, as rows (kind, first and last number of the output, first and last of the input), 0 where there are
+ * none; and the constants of those whose kind is `constant`. */
+void kpirl_mpc_read_operations(const kpirl_mpc_members *members, const void *function, int count, int constant, int *rows,
+                               real *constants);
+
 #endif
