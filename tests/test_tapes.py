@@ -103,7 +103,7 @@ def test_an_operation_of_any_numbers_has_the_bits_of_the_virtual_machine(name):
         assert same_bits(successor, dense(values, [pair, [], [], []])["successor"]), pair
 
 
-@pytest.mark.parametrize("horizon", [1, 7, 8, 21])
+@pytest.mark.parametrize("horizon", [1, 15, 16, 37])
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_all_results_of_all_stages_have_the_bits_of_the_virtual_machine(horizon, level):
     s, u, psi, c, d = (ca.SX.sym(name, size) for name, size in (("s", 3), ("u", 2), ("psi", 2), ("c", 2), ("d", 1)))

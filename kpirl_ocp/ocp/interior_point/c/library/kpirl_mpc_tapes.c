@@ -11,7 +11,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { LANES = 8 };
+enum { LANES = 16 };
 
 int kpirl_mpc_lanes(void) { return LANES; }
 
@@ -35,80 +35,30 @@ typedef struct arrays {
   int from_step[INPUTS], to_step[OUTPUTS];
 } arrays;
 
-/* y may be the place of an operand. */
-#define OF_ONE(value)             \
-  for (i = 0; i < LANES; ++i) {   \
-    const real a = p[i];          \
-    y[i] = (value);               \
-  }                               \
-  memcpy(to, y, sizeof y);        \
+/* y may be the place of an operand. Lanes beyond `count` hold stage t once more: there, what takes long is not calculated again. */
+#define OF_ONE(lanes, value)                          \
+  for (i = 0; i < lanes; ++i) {                       \
+    const real a = slots[o->from * LANES + i];        \
+    y[i] = (value);                                   \
+  }                                                   \
+  for (; i < LANES; ++i) y[i] = y[0];                 \
+  memcpy(slots + o->to * LANES, y, sizeof y);         \
   break
 
-#define OF_TWO(value)                 \
-  for (i = 0; i < LANES; ++i) {       \
-    const real a = p[i], b = q[i];    \
-    y[i] = (value);                   \
-  }                                   \
-  memcpy(to, y, sizeof y);            \
+#define OF_TWO(lanes, value)                          \
+  for (i = 0; i < lanes; ++i) {                       \
+    const real a = slots[o->from * LANES + i];        \
+    const real b = slots[o->other * LANES + i];       \
+    y[i] = (value);                                   \
+  }                                                   \
+  for (; i < LANES; ++i) y[i] = y[0];                 \
+  memcpy(slots + o->to * LANES, y, sizeof y);         \
   break
 
-static void calculate(int kind, const real *p, const real *q, real *to) {
-  real y[LANES];
-  int i;
-  switch (kind) {
-    case ADD: OF_TWO(a + b);
-    case SUB: OF_TWO(a - b);
-    case MUL: OF_TWO(a * b);
-    case DIV: OF_TWO(a / b);
-    case POW:
-    case CONSTPOW: OF_TWO(pow(a, b));
-    case FMOD: OF_TWO(fmod(a, b));
-    case REMAINDER: OF_TWO(remainder(a, b));
-    case ATAN2: OF_TWO(atan2(a, b));
-    case HYPOT: OF_TWO(hypot(a, b));
-    case COPYSIGN: OF_TWO(copysign(a, b));
-    case FMIN: OF_TWO(fmin(a, b));
-    case FMAX: OF_TWO(fmax(a, b));
-    case LT: OF_TWO(a < b);
-    case LE: OF_TWO(a <= b);
-    case EQ: OF_TWO(a == b);
-    case NE: OF_TWO(a != b);
-    case AND: OF_TWO(a != 0 && b != 0);
-    case OR: OF_TWO(a != 0 || b != 0);
-    case IF_ELSE_ZERO: OF_TWO(a == 0 ? 0 : b);
-    case NEG: OF_ONE(-a);
-    case INV: OF_ONE(1 / a);
-    case SQ: OF_ONE(a * a);
-    case TWICE: OF_ONE(2 * a);
-    case SQRT: OF_ONE(sqrt(a));
-    case NOT: OF_ONE(a == 0);
-    case SIGN: OF_ONE(a < 0 ? -1 : a > 0 ? 1 : a);
-    case FABS: OF_ONE(fabs(a));
-    case FLOOR: OF_ONE(floor(a));
-    case CEIL: OF_ONE(ceil(a));
-    case EXP: OF_ONE(exp(a));
-    case EXPM1: OF_ONE(expm1(a));
-    case LOG: OF_ONE(log(a));
-    case LOG1P: OF_ONE(log1p(a));
-    case ERF: OF_ONE(erf(a));
-    case SIN: OF_ONE(sin(a));
-    case COS: OF_ONE(cos(a));
-    case TAN: OF_ONE(tan(a));
-    case ASIN: OF_ONE(asin(a));
-    case ACOS: OF_ONE(acos(a));
-    case ATAN: OF_ONE(atan(a));
-    case SINH: OF_ONE(sinh(a));
-    case COSH: OF_ONE(cosh(a));
-    case TANH: OF_ONE(tanh(a));
-    case ASINH: OF_ONE(asinh(a));
-    case ACOSH: OF_ONE(acosh(a));
-    case ATANH: OF_ONE(atanh(a));
-  }
-}
-
-/* Stages t to t + count; lanes beyond them hold stage t once more. */
+/* Stages t to t + count. */
 static void play(const kpirl_mpc_tape *tape, const arrays *of, int t, int count, real *slots) {
   const kpirl_mpc_operation *o = tape->operations, *const end = o + tape->n_operations;
+  real y[LANES];
   int i;
   for (; o < end; ++o) switch (o->kind) {
       case CONSTANT:
@@ -121,7 +71,53 @@ static void play(const kpirl_mpc_tape *tape, const arrays *of, int t, int count,
       case OUTPUT:
         for (i = 0; i < count; ++i) of->to[o->to][(t + i) * of->to_step[o->to] + o->other] = slots[o->from * LANES + i];
         break;
-      default: calculate(o->kind, slots + o->from * LANES, slots + o->other * LANES, slots + o->to * LANES);
+      case ADD: OF_TWO(LANES, a + b);
+      case SUB: OF_TWO(LANES, a - b);
+      case MUL: OF_TWO(LANES, a * b);
+      case DIV: OF_TWO(LANES, a / b);
+      case POW:
+      case CONSTPOW: OF_TWO(count, pow(a, b));
+      case FMOD: OF_TWO(count, fmod(a, b));
+      case REMAINDER: OF_TWO(count, remainder(a, b));
+      case ATAN2: OF_TWO(count, atan2(a, b));
+      case HYPOT: OF_TWO(count, hypot(a, b));
+      case COPYSIGN: OF_TWO(LANES, copysign(a, b));
+      case FMIN: OF_TWO(LANES, fmin(a, b));
+      case FMAX: OF_TWO(LANES, fmax(a, b));
+      case LT: OF_TWO(LANES, a < b);
+      case LE: OF_TWO(LANES, a <= b);
+      case EQ: OF_TWO(LANES, a == b);
+      case NE: OF_TWO(LANES, a != b);
+      case AND: OF_TWO(LANES, a != 0 && b != 0);
+      case OR: OF_TWO(LANES, a != 0 || b != 0);
+      case IF_ELSE_ZERO: OF_TWO(LANES, a == 0 ? 0 : b);
+      case NEG: OF_ONE(LANES, -a);
+      case INV: OF_ONE(LANES, 1 / a);
+      case SQ: OF_ONE(LANES, a * a);
+      case TWICE: OF_ONE(LANES, 2 * a);
+      case SQRT: OF_ONE(LANES, sqrt(a));
+      case NOT: OF_ONE(LANES, a == 0);
+      case SIGN: OF_ONE(LANES, a < 0 ? -1 : a > 0 ? 1 : a);
+      case FABS: OF_ONE(LANES, fabs(a));
+      case FLOOR: OF_ONE(LANES, floor(a));
+      case CEIL: OF_ONE(LANES, ceil(a));
+      case EXP: OF_ONE(count, exp(a));
+      case EXPM1: OF_ONE(count, expm1(a));
+      case LOG: OF_ONE(count, log(a));
+      case LOG1P: OF_ONE(count, log1p(a));
+      case ERF: OF_ONE(count, erf(a));
+      case SIN: OF_ONE(count, sin(a));
+      case COS: OF_ONE(count, cos(a));
+      case TAN: OF_ONE(count, tan(a));
+      case ASIN: OF_ONE(count, asin(a));
+      case ACOS: OF_ONE(count, acos(a));
+      case ATAN: OF_ONE(count, atan(a));
+      case SINH: OF_ONE(count, sinh(a));
+      case COSH: OF_ONE(count, cosh(a));
+      case TANH: OF_ONE(count, tanh(a));
+      case ASINH: OF_ONE(count, asinh(a));
+      case ACOSH: OF_ONE(count, acosh(a));
+      case ATANH: OF_ONE(count, atanh(a));
     }
 }
 
