@@ -8,6 +8,7 @@ import pytest
 
 from kpirl_ocp import OCP, Demonstration, GradientDescent, Unrolled
 from kpirl_ocp.irl.hypergradients import unrolled
+from kpirl_ocp.irl.hypergradients.smoothness import parameter_kinks
 from kpirl_ocp.ocp.models.keypoint_dynamics import LinearisedNetwork, NetworkDynamics
 from kpirl_ocp.ocp.models.keypoint_passes import NetworkPasses
 from kpirl_ocp.ocp.models.mlp import MLP
@@ -89,3 +90,16 @@ def test_a_kink_beside_one_of_several_demonstrations_leaves_the_proofs_of_the_ot
     assert [certificate.certified for certificate in together] == [True, False, True, True, True]
     assert [certificate.kink == 0 for certificate in together] == [True, False, True, True, True]
     assert [str(certificate) for certificate in together] == [str(certificate) for certificate in alone]
+
+
+@pytest.mark.parametrize(("target", "searched"), [(lambda psi: psi, False), (ca.fabs, True)])
+def test_beside_a_kink_of_the_network_costs_are_searched_for_kinks_in_psi_unless_they_are_quadratic(
+    target, searched, monkeypatch
+):
+    found = []
+    monkeypatch.setattr(unrolled, "parameter_kinks", lambda *at: found.append(parameter_kinks(*at)) or [])
+    problem = problem_of(step_at(0.3, 1e6, "relu"), target)
+    certificate = gradient_at(problem, 0.3 + 1e-9).certificate
+    assert not certificate.certified
+    assert bool(found) is searched
+    assert parameter_kinks(problem, certificate.solution) == []

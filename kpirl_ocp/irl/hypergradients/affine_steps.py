@@ -1,4 +1,6 @@
-"""Problems whose gradient steps are affine in the actions: only steep coefficients can make the result steep in psi."""
+"""Problems whose gradient steps are affine in the actions, and whose costs are quadratic: without kinks, and steep only
+where coefficients are.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +13,16 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 
 
 @lru_cache(maxsize=64)
-def has_affine_steps(problem: OCP, loss: Loss, constant_jacobians: bool) -> bool:
-    """True if costs and loss are quadratic, and the dynamics affine or as good as affine.
+def has_affine_dynamics(problem: OCP, constant_jacobians: bool) -> bool:
+    """True if the dynamics are affine or as good as affine.
 
-    constant_jacobians: the dynamics are a network whose Jacobians hardly change near all iterates.
+    constant_jacobians: they are a network whose Jacobians hardly change near all iterates.
     """
-    return _quadratic(problem, loss) and (
-        _affine(problem) or (constant_jacobians and not depends_on_psi(problem.transition))
-    )
+    return _affine(problem) or (constant_jacobians and not depends_on_psi(problem.transition))
 
 
-def _quadratic(problem: OCP, loss: Loss) -> bool:
+@lru_cache(maxsize=64)
+def has_quadratic_costs(problem: OCP, loss: Loss) -> bool:
     """True if costs and loss are quadratic in states and actions together."""
     after = loss(problem)
     costs = problem.stage_cost, problem.terminal_cost

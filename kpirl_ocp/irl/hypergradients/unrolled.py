@@ -21,12 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients.affine_steps import has_affine_steps
-from kpirl_ocp.irl.hypergradients.certificate import (
-    HypergradientResult,
-    enforce,
-    nonfinite_failures,
-)
+from kpirl_ocp.irl.hypergradients.affine_steps import has_affine_dynamics, has_quadratic_costs
+from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult, enforce, nonfinite_failures
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.irl.hypergradients.own_passes import passes_agree
 from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
@@ -36,6 +32,7 @@ from kpirl_ocp.ocp.codegen.compiler import compiled
 from kpirl_ocp.ocp.codegen.numpy_calls import call_built
 from kpirl_ocp.ocp.conditions.steepness import nearly_constant_in_psi
 from kpirl_ocp.ocp.problem.layout import by_stage
+from kpirl_ocp.ocp.problem.linearised_dynamics import depends_on_psi
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import Guess
 from kpirl_ocp.ocp.sensitivity.certificate import KINK, WRONG_DERIVATIVES, Certificate, Policy, check_policy
@@ -189,18 +186,21 @@ def unrolled_gradients(
 def _certified(descent: Descent, last: int, output: Array, wrong: tuple[str, ...]) -> HypergradientResult:
     """The result of one descent, which is taken again beside psi where that could show a kink.
 
+    Quadratic costs whose coefficients hardly change near psi have no kink in psi; constraints there are none.
     wrong: failures that are known already.
     """
     problem, sweep = descent.problem, _sweep(descent, last, output)
     solution = sweep.certificate.solution
-    gentle = last == descent.solver.steps and sweep.steady and has_affine_steps(problem, descent.loss, sweep.clear)
-    if gentle and nearly_constant_in_psi(problem, solution, STEP * direction(descent.psi)):
+    move = STEP * direction(descent.psi)
+    gentle = has_quadratic_costs(problem, descent.loss) and nearly_constant_in_psi(problem, solution, move)
+    if gentle and last == descent.solver.steps and sweep.steady and has_affine_dynamics(problem, sweep.clear):
         return sweep.result(0.0, wrong)
     if nonfinite_failures(sweep.loss, sweep.gradient):
         return sweep.result(math.nan, wrong)  # no slopes to compare
     at = LossAt(problem, descent.loss, descent.observed.T, _plan(solution))
     kink = descent.kink(sweep.loss, sweep.gradient, sweep.terms(at))
-    return sweep.result(kink, (*wrong, *at.kinks(), *parameter_kinks(problem, solution)))
+    by_psi = [] if gentle and not depends_on_psi(problem.transition) else parameter_kinks(problem, solution)
+    return sweep.result(kink, (*wrong, *at.kinks(), *by_psi))
 
 
 def gradient_alone(method: Unrolled, problem: OCP, demonstration: Demonstration, psi: ArrayLike) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.ocp.codegen.compiler import compiled
+from kpirl_ocp.ocp.interior_point.library import all_finite
 from kpirl_ocp.ocp.problem.columns import by_trajectory, repeat, symbols_like
 from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
@@ -211,7 +212,7 @@ def _bound_multipliers(problem: OCP, actions: Array, slope: Array) -> Array:
 
 
 def _status(plan: Array, before: float, objective: float, residual: float, tolerance: float) -> Status:
-    if not (math.isfinite(objective) and math.isfinite(residual) and np.isfinite(plan).all()):
+    if not (math.isfinite(objective) and math.isfinite(residual) and all_finite(plan)):
         return Status.DIVERGED if math.isfinite(before) else Status.NOT_FINITE
     if residual <= tolerance:
         return Status.CONVERGED
