@@ -221,6 +221,7 @@ int kpirl_mpc_newton_iterate(kpirl_mpc_core *core, int indefinite) {
   int attempt;
   for (attempt = 0; attempt < ATTEMPTS; ++attempt) {
     if (!kpirl_mpc_find_positive_step(core, rho, indefinite && attempt == 0)) return 0;
+    kpirl_mpc_correct_newton_step(core);
     if (move_along(core, attempt < ATTEMPTS - 1 ? CREEPING : 0)) return 1;
     rho = kpirl_mpc_stronger(core);
   }

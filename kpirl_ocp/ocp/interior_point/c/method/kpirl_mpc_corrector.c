@@ -10,7 +10,7 @@ static const real GROWTH = (real)1e3;    /* of tau beyond the mean of y z: a ste
 static const real CORRECTED = (real)0.5; /* length of a step from which its second order is believed */
 /* Gondzio's: how many correctors; how much longer a step each aims at; the least that it has to gain; products y z between
  * NEAR tau and FAR tau count as central. */
-static const int CORRECTORS = 2;
+static const int CORRECTORS = 3;
 static const real LONGER = (real)0.1, GAIN = (real)0.01, NEAR = (real)0.1, FAR = 10;
 static const real ROUNDING = (real)1e-3; /* of products, relative to tau: where a step ends at the boundary, one is zero */
 
@@ -138,5 +138,12 @@ void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least) {
     correct_centrality(core);
     correct_again(core);
   }
+  kpirl_mpc_limit_lengths(core);
+}
+
+/* Centrality correctors for a Newton step. What limits steps with elastic constraints has none. */
+void kpirl_mpc_correct_newton_step(kpirl_mpc_core *core) {
+  if (kpirl_mpc_n_inequalities(core) == 0 || core->penalty > 0) return;
+  correct_centrality(core);
   kpirl_mpc_limit_lengths(core);
 }

@@ -33,6 +33,7 @@ void kpirl_mpc_limit_lengths(kpirl_mpc_core *core);
 
 /* corrector: `least` is the tau to stop at */
 void kpirl_mpc_corrected_step(kpirl_mpc_core *core, real least);
+void kpirl_mpc_correct_newton_step(kpirl_mpc_core *core);
 
 /* Are steps lifted, where steps along the dynamics are the other way; and off the dynamics so far? */
 int kpirl_mpc_lifts(const kpirl_mpc_core *core);

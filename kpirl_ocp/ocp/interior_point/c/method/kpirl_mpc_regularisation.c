@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT
  *
  * How much weight on the identity makes the reduced Hessian positive (inertia correction; Waechter and Biegler, 2006, section
- * 3.1): a third of the last one, or as much more as it takes, but not much more than the pivot that is not positive lacks.
+ * 3.1): a tenth of the last one, or as much more as it takes, but not much more than the pivot that is not positive lacks.
  */
 #include "kpirl_mpc_method.h"
 
@@ -9,7 +9,7 @@ static const real FIRST = (real)1e-4, SMALLEST = (real)1e-12; /* weights, in uni
 static const real STRONGEST = (real)1e10; /* weight, relative to the scale of the problem, that leads nowhere */
 static const real STRONGEST_OFF = 1; /* the same off the dynamics: gaps closed at any cost make costates as large as the weight, and
                                       * these a Hessian that needs a larger one */
-static const real FIRST_FACTOR = 100, FACTOR = 8, FALL = 3; /* by which it grows, before one is known and then; and falls */
+static const real FIRST_FACTOR = 100, FACTOR = 8, FALL = 10; /* by which it grows, before one is known and then; and falls */
 static const real LEAST_FACTOR = 2, MARGIN = 4; /* by which it grows at least; times what a pivot lacks, at most */
 
 /* The largest entry of the Hessian, if that is less than 1: in other units of the cost the weights are others. */
