@@ -14,7 +14,8 @@ void slopes(kpirl_mpc_core *core, real penalty, real tau, real h, real *known, r
   core->tau = tau;
   if (penalty > 0) {
     kpirl_mpc_measure_rows(core);
-    kpirl_mpc_relax(core);
+    kpirl_mpc_penalty_slopes(core, core->at.z, core->at.nu);
+    kpirl_mpc_weigh_elastic(core);
   }
   kpirl_mpc_differentiate(core, KPIRL_MPC_SECOND);
   kpirl_mpc_find_positive_step(core, 0, 0);

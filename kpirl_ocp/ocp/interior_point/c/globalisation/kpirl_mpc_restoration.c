@@ -12,7 +12,7 @@ static const real FIRST = (real)1e3, LAST = (real)1e7; /* penalties, relative to
 static const real LEFT = (real)0.01;    /* share of the violation that is left where the method proper goes on */
 static const real SOLVED = 10;          /* products of slacks and multipliers of a barrier problem that is, relative to tau */
 static const real LITTLE = (real)0.1;   /* share of the violation of a convex problem that may be unproved */
-static const real LOWERED = (real)0.04, CAUTIOUS = (real)0.07; /* factors of tau; where a Hessian was not positive */
+static const real LOWERED = (real)0.035, CAUTIOUS = (real)0.07; /* factors of tau: as long as every Hessian was positive; then */
 static const real LAST_TAU = (real)1e-4; /* the last tau relative to the first */
 
 /* The largest violation of a constraint, in units of core->row_sizes. */
