@@ -1,13 +1,13 @@
 """Functions of the C code on KKT systems that the package calls only from C: linearisations, products, Newton steps."""
 
 import ctypes
+from typing import NamedTuple
 
 import numpy as np
 
 from kpirl_ocp.ocp.conditions import parameter_derivatives
 from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
-from kpirl_ocp.ocp.problem.solver import StageDerivatives
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
 from kpirl_ocp.ocp.sensitivity.kkt_system import KKTSystem, PrimalDual, Triple
 
@@ -30,6 +30,20 @@ def linearise(instance, point, active=None):
     return system
 
 
+class Derivatives(NamedTuple):
+    """The parts of `StageDerivatives`, in their order."""
+
+    gradient: np.ndarray
+    objective: np.ndarray
+    defects: np.ndarray
+    path: np.ndarray
+    equality: np.ndarray
+    F: np.ndarray
+    G: np.ndarray
+    E: np.ndarray
+    H: np.ndarray
+
+
 def derivatives_of(system):
     """Values and derivatives at the point of a system."""
     problem, (n_w, n_c, m) = system.instance.problem, system.sizes_of_parts
@@ -41,17 +55,8 @@ def derivatives_of(system):
         "H": T * n_x * n_x + n_s * n_s,
     }
     at, (_, path, equality) = system.structure, system.instance.rows.split(-c.read(system.structure.slack, m))
-    parts = {name: c.read(getattr(at.system, name), size) for name, size in matrices.items()}
-    stages, end = np.split(parts["H"], [T * n_x * n_x])
-    lower = np.triu(stages.reshape(T, n_x, n_x)), np.triu(end.reshape(n_s, n_s))  # by columns
-    return StageDerivatives(
-        objective=at.objective,
-        defects=c.read(at.defects, n_c),
-        path=path,
-        equality=equality,
-        gradient=c.read(at.gradient, n_w),
-        **parts | {"H": np.concatenate([*map(np.ravel, lower)])},
-    )
+    values = [c.read(at.gradient, n_w), np.array([at.objective]), c.read(at.defects, n_c), path, equality]
+    return Derivatives(*values, *(c.read(getattr(at.system, name), size) for name, size in matrices.items()))
 
 
 def rows_along(system, x):

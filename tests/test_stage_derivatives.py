@@ -138,7 +138,7 @@ def test_stage_functions_take_the_derivatives_that_a_problem_brings():
     problem = replace(case.problem, derivatives=marked)
     instance, point = random_point(case.problem)
     n = problem.n_states + problem.n_actions
-    both = (kkt_in_c.linearise(one, point) for one in (instance, replace(instance, problem=problem)))
+    both = (kkt_in_c.linearise(one, point) for one in (instance, instance._replace(problem=problem)))
     found = [kkt_in_c.derivatives_of(one).H for one in both]
     plain, other = (H[: problem.horizon * n**2].reshape(-1, n, n) for H in found)
     lower = np.triu(np.ones((n, n), bool))  # by columns

@@ -46,8 +46,6 @@ class Core:
         given = [ctypes.byref(x) for x in (dimensions, bounds, self._model)]
         self._memory = np.zeros(self._library.kpirl_mpc_core_size(*given), np.uint8)
         self._core = self._library.kpirl_mpc_core_init(*given, ctypes.c_void_p(self._memory.ctypes.data))
-        self._n_w = self._library.kpirl_mpc_n_point(self._core)
-        self._view = c.View()
         self._wish: Compile = "auto"
         self._evaluations = 0
         self._others: OrderedDict[Any, Any] = OrderedDict()
@@ -121,25 +119,13 @@ class Core:
 
     def derivatives(self) -> StageDerivatives | None:
         """At the last solution; None if the solve ended without them."""
-        self._library.kpirl_mpc_core_view(self._core, ctypes.addressof(self._view))
-        if not self._view.matrices:
+        count = self._library.kpirl_mpc_put_derivatives(self._core, None)
+        if not count:
             return None
-        gradient = np.empty(self._n_w)
-        self._library.kpirl_mpc_core_gradient(self._core, c.address_of(gradient))
-        problem, view = self.problem, self._view
-        T, n_s, n_x = problem.horizon, problem.n_states, problem.n_states + problem.n_actions
-        n_h, n_e, n_gT, n_eT = problem.n_path, problem.n_path_equality, problem.n_terminal, problem.n_terminal_equality
-        return StageDerivatives(
-            objective=view.objective,
-            defects=c.read(view.defects, T * n_s),
-            path=c.read(view.path, T * n_h + n_gT),
-            equality=c.read(view.equality, T * n_e + n_eT),
-            gradient=gradient,
-            F=c.read(view.F, T * n_s * n_x),
-            G=c.read(view.G, T * n_x * n_h + n_s * n_gT),
-            E=c.read(view.E, T * n_x * n_e + n_s * n_eT),
-            H=c.read(view.H, T * n_x * n_x + n_s * n_s),
-        )
+        numbers = np.empty(count)
+        for part in (self._library.kpirl_mpc_core_gradient, self._library.kpirl_mpc_put_derivatives):
+            part(self._core, c.address_of(numbers))
+        return StageDerivatives(numbers)
 
     def _bounds(self) -> Any:
         lower, upper, free = point_bounds(self.problem)

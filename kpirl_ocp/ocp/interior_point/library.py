@@ -77,15 +77,6 @@ Options = _structure(
 )
 Count = _structure("Count", **dict.fromkeys(("head", "reals", "integers", "arrays"), ctypes.c_size_t))
 Start = _structure("Start", x=POINTER, costates=POINTER, bounds=POINTER, path=POINTER, equality=POINTER)
-View = _structure(
-    "View",
-    **dict.fromkeys(("x", "costates", "path_multipliers", "equality_multipliers"), POINTER),
-    **dict.fromkeys(("defects", "path", "equality", "gradient", "F", "G", "E", "H"), POINTER),
-    objective=REAL,
-    tau=REAL,
-    iterations=INT,
-    matrices=INT,
-)
 Residuals = _structure("Residuals", stationarity=REAL, feasibility=REAL, complementarity=REAL, scale=REAL)
 Result = _structure("Result", residuals=Residuals, objective=REAL, iterations=INT, status=INT)
 Iteration = _structure(
@@ -166,7 +157,7 @@ KKT = _structure(
     objective=REAL,
     **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "lowest_mode"), POINTER),
     row_factors=Factors,
-    **dict.fromkeys(("origin", "shares", "tangent", "matrices", "work"), POINTER),
+    **dict.fromkeys(("origin", "shares", "tangent", "derivatives", "work"), POINTER),
     **dict.fromkeys(("lowest", "qualification", "step", "margin", "distance"), REAL),
     **dict.fromkeys(("evaluated", "factored", "immovable", "conditioned", "stepped", "reached"), INT),
     **dict.fromkeys(("borrowed", "stale"), INT),
@@ -178,7 +169,7 @@ Evidence = _structure(
     ),
 )
 ByParameters = _structure("ByParameters", psi=POINTER, s0=POINTER, context=POINTER)
-Questions = _structure("Questions", numbers=Numbers, solutions=POINTER, slopes=POINTER, barriers=POINTER)
+Questions = _structure("Questions", solutions=POINTER, slopes=POINTER, barriers=POINTER)
 Answers = _structure("Answers", gradients=ByParameters, evidence=POINTER, active=POINTER, finite=POINTER)
 _OF_SYSTEMS = {
     "rows_transposed_times": 3,
@@ -228,12 +219,16 @@ def address_in(loaded: ctypes.CDLL, name: str) -> int:
     return address
 
 
-def read(address: int, size: int, kind: type = float) -> NDArray[Any]:
-    """A copy of numbers of the C code, as floats or as another kind."""
+def view(address: int, size: int) -> Array:
+    """Numbers of the C code, to be used no longer than their memory."""
     if not size:
-        return np.zeros(0, kind)
-    numbers: Array = np.frombuffer((ctypes.c_double * size).from_address(address))  # type: ignore[call-overload]
-    return numbers.astype(kind)
+        return np.zeros(0)
+    return np.frombuffer((ctypes.c_double * size).from_address(address))  # type: ignore[call-overload]
+
+
+def read(address: int, size: int) -> Array:
+    """A copy of numbers of the C code."""
+    return view(address, size).copy()
 
 
 def all_finite(array: Array) -> bool:
@@ -252,7 +247,7 @@ def address_of(array: NDArray[Any]) -> int:
 
 def _layout() -> int:
     """The sizes of all structures that cross over."""
-    crossing = (Dimensions, Model, Bounds, Numbers, Options, Start, View, Residuals, Iteration)
+    crossing = (Dimensions, Model, Bounds, Numbers, Options, Start, Residuals, Iteration)
     functions, systems = (Buffered, CompiledFunction, Tapes, Members), (System, Triple, Rows, KKT)
     kinds = (*crossing, *functions, *systems, Evidence, ByParameters, Result, Questions, Answers)
     return sum((i + 1) * ctypes.sizeof(kind) for i, kind in enumerate(kinds))
@@ -287,8 +282,8 @@ def _declared(core: ctypes.CDLL) -> ctypes.CDLL:
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER]
     core.kpirl_mpc_solve_each.argtypes = [POINTER, INT, *[POINTER] * 5]
     core.kpirl_mpc_solve_each.restype = None
-    for name in ("set_model", "gradient", "view"):
-        getattr(core, f"kpirl_mpc_core_{name}").argtypes = [POINTER] * 2
+    for name in ("core_set_model", "core_gradient", "put_derivatives"):
+        getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER] * 2
     for name, count in _OF_SYSTEMS.items():
         getattr(core, f"kpirl_mpc_{name}").argtypes = [POINTER] * count
     core.kpirl_mpc_read_operations.argtypes = [POINTER, POINTER, INT, INT, POINTER, POINTER]

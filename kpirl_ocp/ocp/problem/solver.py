@@ -19,24 +19,16 @@ Guess = Solution | Trajectory | None
 
 @dataclass(frozen=True, eq=False)
 class StageDerivatives:
-    """Constraints, the gradient of the Lagrangian without bounds, and second derivatives at a point, in order of time.
+    """The gradient of the Lagrangian without bounds, constraints and second derivatives at a point, in order of time.
 
-    objective: J. defects: f - s_next (T n_s,). path: h at all stages, then g_T. equality: e at all stages, then e_T.
-    gradient: by x = (s_0, u_0, s_1, .., s_T), given entries of s_0 included.
-    The others are column-major matrices, one stage after the other. F: Jacobians of f (n_s, n_x). G, E: transposed
-    Jacobians of h (n_x, n_h) and e (n_x, n_e), then of g_T and e_T. H: Hessians of the Lagrangian (n_x, n_x), at the
-    end (n_s, n_s); only the lower triangles are set. All arrays are contiguous.
+    numbers: all in one row, as the C code writes and reads it: the gradient by x = (s_0, u_0, s_1, .., s_T), given
+        entries of s_0 included; the objective; defects f - s_next; h at all stages, then g_T; e at all stages, then
+        e_T; and column-major matrices, one stage after the other. These are the Jacobians of f (n_s, n_x), the
+        transposed ones of h (n_x, n_h), then of g_T, and of e (n_x, n_e), then of e_T; and the Hessians of the
+        Lagrangian (n_x, n_x), at the end (n_s, n_s).
     """
 
-    objective: float
-    defects: Array
-    path: Array
-    equality: Array
-    gradient: Array
-    F: Array
-    G: Array
-    E: Array
-    H: Array
+    numbers: Array
 
 
 class Solver(Protocol):

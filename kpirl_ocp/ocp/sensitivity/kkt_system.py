@@ -18,8 +18,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
-from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,14 +28,11 @@ from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives
 from kpirl_ocp.ocp.sensitivity.rows import Rows, rows_of
-from kpirl_ocp.ocp.sensitivity.solution_arrays import as_row, check_solution
+from kpirl_ocp.ocp.sensitivity.solution_arrays import arrays_of, as_row
 from kpirl_ocp.types import Array, Mask, Solution
 
-_OF_VIEW = attrgetter("defects", "path", "equality", "gradient", "F", "G", "E", "H")  # as in `c.View`, after the point
 
-
-@dataclass(frozen=True)
-class Instance:
+class Instance(NamedTuple):
     """A problem with values of its parameters: s0 (n_s,), psi (n_psi,), context (n_c,), and barrier tau >= 0."""
 
     problem: OCP
@@ -47,7 +43,7 @@ class Instance:
 
     @classmethod
     def of(cls, problem: OCP, solution: Solution) -> Instance:
-        """The instance that a solution solves, which fits the problem (`check_solution`)."""
+        """The instance that a solution solves, which fits the problem (`arrays_of`)."""
         return cls(problem, solution.states[0], solution.psi, solution.context, solution.barrier)
 
     @property
@@ -68,17 +64,19 @@ class PrimalDual:
 class Memory:
     """The structure `kpirl_mpc_kkt` for a problem, with the arrays it points to; for one thread at a time.
 
-    sizes_of_parts: lengths n_w, T n_s and n_rows of the parts of a point. schedule: address of the problem's.
+    sizes_of_parts: lengths n_w, T n_s and n_rows of the parts of a point. x, active: views of these arrays.
     """
 
     def __init__(self, problem: OCP) -> None:
         rows, self._schedule = rows_of(problem), np.ascontiguousarray(problem.schedule, float)
-        self.schedule = c.address_of(self._schedule)
         self.sizes_of_parts = len(rows.largest_bound), problem.horizon * problem.n_states, len(rows.inequality)
         self._arrays, self._rows, self.structure = np.empty(rows.n_memory), rows.structure, c.KKT()
         self.address, dimensions = ctypes.addressof(self.structure), rows.dimensions
         given = ctypes.addressof(dimensions), ctypes.addressof(self._rows)
         c.library().kpirl_mpc_kkt_init(self.address, *given, self._arrays.ctypes.data)
+        self.structure.numbers.schedule = c.address_of(self._schedule)
+        self.x = c.view(self.structure.point.x, self.sizes_of_parts[0])
+        self.active = c.view(self.structure.system.active, self.sizes_of_parts[2])
 
 
 class KKTSystem:
@@ -93,13 +91,8 @@ class KKTSystem:
         """A system without a point yet, in its own memory or in the given one."""
         self.instance, self._memory, self._library = instance, memory or Memory(instance.problem), c.library()
         self.structure, self.address, self.finite = self._memory.structure, self._memory.address, False
-        self._numbers = np.concatenate((instance.s0, instance.psi, instance.context), dtype=float)
-        start, size = c.address_of(self._numbers), self._numbers.itemsize
-        psi = start + size * len(instance.s0)
-        context = psi + size * len(instance.psi)
-        self.structure.numbers = c.Numbers(start, psi, context, self._memory.schedule)
         self.structure.barrier = instance.barrier
-        self._kept: Any = None
+        self._kept: Any = None  # arrays that the C code has pointers to
 
     @property
     def sizes_of_parts(self) -> tuple[int, int, int]:
@@ -114,7 +107,7 @@ class KKTSystem:
     @property
     def x(self) -> Array:
         """(n_w,) of the point."""
-        return c.read(self.structure.point.x, self.sizes_of_parts[0])
+        return self._memory.x.copy()
 
     def read(self, triple: Any) -> PrimalDual:
         """A copy of a structure `kpirl_mpc_triple`."""
@@ -126,21 +119,22 @@ class KKTSystem:
         for name, part in (("x", point.x), ("costates", point.costates), ("forces", point.forces)):
             array = np.ascontiguousarray(part, float)
             ctypes.memmove(getattr(self.structure.point, name), array.ctypes.data, array.nbytes)
+        _, s0, psi, context, _ = self.instance
+        self._kept = [np.ascontiguousarray(array, float) for array in (s0, psi, context)]
+        numbers = self.structure.numbers
+        numbers.s0, numbers.psi, numbers.context = map(c.address_of, self._kept)
         self.structure.evaluated = False
 
-    def linearise_at(self, solution: Solution, core: Core, derivatives: StageDerivatives | None) -> None:
-        """Set point, derivatives and active rows for a solution of the instance.
+    def linearise_at(self, row: bytes, core: Core, derivatives: StageDerivatives | None) -> None:
+        """Set numbers, point, derivatives and active rows for a solution of the instance, given as a row (`as_row`).
 
         Newton steps lead from the solution to a more exact point where that is needed
         (`SensitivityCertificate.distance`). Derivatives that are not given are evaluated by the core; after a short
         step second ones stay those of the solution, until `renew`.
         """
-        row, known = as_row(self.instance.problem, solution), None
-        if derivatives is not None:
-            view, self._kept = _view_of(derivatives)
-            known = ctypes.addressof(view)
-        given = self.address, core.address, row, known
-        self.finite = bool(self._library.kpirl_mpc_kkt_linearise(*given))
+        self._kept = row, derivatives
+        known = None if derivatives is None else c.address_of(derivatives.numbers)
+        self.finite = bool(self._library.kpirl_mpc_kkt_linearise(self.address, core.address, row, known))
 
     def renew(self, core: Core) -> None:
         """Evaluate second derivatives where those of a point close by have served."""
@@ -149,7 +143,7 @@ class KKTSystem:
     @property
     def active(self) -> Mask:
         """(n_rows,) True for rows of C: equalities and active inequalities."""
-        return c.read(self.structure.system.active, self.sizes_of_parts[2], bool)
+        return self._memory.active.astype(bool)
 
     @property
     def stiffness(self) -> Array:
@@ -204,17 +198,10 @@ class Triple:
         return PrimalDual(*self._kept[:3])
 
 
-def _view_of(derivatives: StageDerivatives) -> tuple[Any, tuple[Array, ...]]:
-    """The structure `kpirl_mpc_view`, and the arrays that must live as long as it is used."""
-    arrays = _OF_VIEW(derivatives)
-    return c.View(None, None, None, None, *map(c.address_of, arrays), derivatives.objective), arrays
-
-
 def at_solution(problem: OCP, solution: Solution) -> KKTSystem:
     """The KKT system at a solution, smoothed with its barrier. Raises ProblemError when it is of another problem."""
-    check_solution(problem, solution)
-    system = KKTSystem(Instance.of(problem, solution))
+    row, system = as_row(arrays_of(problem, solution)), KKTSystem(Instance.of(problem, solution))
     with borrow_core(problem) as core:
-        system.linearise_at(solution, core, None)
+        system.linearise_at(row, core, None)
         system.renew(core)
     return system

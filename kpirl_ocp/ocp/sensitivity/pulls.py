@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kpirl_ocp.ocp.conditions import parameter_derivatives
 from kpirl_ocp.ocp.interior_point import library as c
@@ -16,7 +17,6 @@ from kpirl_ocp.ocp.sensitivity.certificate import judged
 from kpirl_ocp.ocp.sensitivity.evidence import MEASURED
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
 from kpirl_ocp.ocp.sensitivity.rows import rows_of
-from kpirl_ocp.ocp.sensitivity.solution_arrays import as_rows
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import Gradients, Workspace
 from kpirl_ocp.types import Array, Solution
 
@@ -36,22 +36,17 @@ class _Answers:
         self.structure = c.Answers(self.by_parameters.structure, *own, c.address_of(self.finite))
 
 
-def pull_each(problem: OCP, solutions: Sequence[Solution], slopes: Array) -> list[Gradients]:
+def pull_each(problem: OCP, solutions: Sequence[Solution], rows: NDArray[np.void], slopes: Array) -> list[Gradients]:
     """`Sensitivity.pull` under the policy "flag" for B solutions of a problem, with one function each.
 
     Args:
         problem: the problem that was solved.
-        solutions: B solutions that fit it, see `check_solution`.
+        solutions: B solutions that fit it.
+        rows: the same (B,), see `as_rows`.
         slopes: dL/dx of each (B, n_w), see `by_stage`.
     """
-    rows = as_rows(problem, solutions)
-    psi, context = (np.array([getattr(each, name) for each in solutions]) for name in ("psi", "context"))
-    schedule, barriers = np.ascontiguousarray(problem.schedule, float), np.array([each.barrier for each in solutions])
-    numbers = c.Numbers(None, *map(c.address_of, (psi, context, schedule)))
-    questions, answers = (
-        c.Questions(numbers, rows.ctypes.data, *map(c.address_of, (slopes, barriers))),
-        _Answers(problem, len(solutions)),
-    )
+    barriers, answers = np.array([each.barrier for each in solutions]), _Answers(problem, len(solutions))
+    questions = c.Questions(rows.ctypes.data, *map(c.address_of, (slopes, barriers)))
     with borrow_core(problem) as core:
         at = core.kept(Workspace)
         at.release()

@@ -19,48 +19,47 @@ _ARRAYS, _FLOATS = {np.ndarray}, {np.dtype(float)}
 _dtype, _shape = attrgetter("dtype"), attrgetter("shape")
 
 
-def check_solution(problem: OCP, solution: Solution, name: str = "the solution") -> None:
-    """Raise ProblemError when the arrays of a solution do not fit the problem, or these are no problem and solution."""
+def arrays_of(problem: OCP, solution: Solution, name: str = "the solution") -> Sequence[Array]:
+    """The arrays of a solution in the order of a row, see `as_rows`.
+
+    Raises ProblemError when they do not fit the problem, or these are no problem and solution.
+    """
     if not isinstance(problem, OCP) or not isinstance(solution, Solution):
         raise ProblemError(
             f"an OCP and {name} of it are needed, in this order, got {shown(problem)}, {shown(solution)}."
         )
-    arrays, shapes = _arrays(problem)
-    own = arrays(solution)
-    if _are_plain(own) and [*map(_shape, own)] == [*shapes.values()]:
-        return
-    for (part, shape), array in zip(shapes.items(), own, strict=True):
-        given = floats(f"{name}'s {part}", array).shape
-        if given != shape:
-            raise ProblemError(f"{name}'s {part} must be {shape}, got {given}: it is of another problem.")
+    getter, shapes = _getter(problem)
+    arrays = getter(solution)
+    plain = set(map(type, arrays)) == _ARRAYS and set(map(_dtype, arrays)) == _FLOATS
+    if plain and [*map(_shape, arrays)] == [*shapes.values()]:
+        return arrays
+    found = [floats(f"{name}'s {part}", array) for part, array in zip(shapes, arrays, strict=True)]
+    for (part, shape), array in zip(shapes.items(), found, strict=True):
+        if array.shape != shape:
+            raise ProblemError(f"{name}'s {part} must be {shape}, got {array.shape}: it is of another problem.")
+    return found
 
 
-def as_rows(problem: OCP, solutions: Sequence[Solution]) -> NDArray[np.void]:
-    """Solutions that fit a problem as rows (B,), see `solution_row`.
+def as_rows(problem: OCP, solutions: Sequence[Sequence[Array]]) -> NDArray[np.void]:
+    """The arrays of solutions (`arrays_of`) as rows (B,): those of `solution_row`, then psi and context.
 
     `numpy.concatenate` would hand the interpreter's lock to another thread after each array.
     """
-    arrays, _ = _arrays(problem)
-    return np.array([arrays(each)[:-2] for each in solutions], solution_row(problem))
+    _, shapes = _getter(problem)
+    return np.array([tuple(each) for each in solutions], [(name, float, shape) for name, shape in shapes.items()])
 
 
-def as_row(problem: OCP, solution: Solution) -> bytes:
-    """One solution that fits a problem, as in `as_rows`, of which it takes a third of the time."""
-    arrays, _ = _arrays(problem)
-    parts = arrays(solution)[:-2]
-    if _are_plain(parts) and all(part.flags.c_contiguous for part in parts):
-        return b"".join(parts)  # type: ignore[arg-type]
-    return as_rows(problem, [solution]).tobytes()
-
-
-def _are_plain(values: tuple[object, ...]) -> bool:
-    """True if all are numpy's arrays of floating-point numbers."""
-    return set(map(type, values)) == _ARRAYS and set(map(_dtype, values)) == _FLOATS
+def as_row(arrays: Sequence[Array]) -> bytes:
+    """Those of one solution as a row, in less time."""
+    try:
+        return b"".join(arrays)  # type: ignore[arg-type]
+    except TypeError:  # not contiguous
+        return b"".join(array.tobytes() for array in arrays)
 
 
 @lru_cache(maxsize=64)
-def _arrays(problem: OCP) -> tuple[attrgetter[tuple[Array, ...]], dict[str, tuple[int, ...]]]:
-    """A getter of a solution's arrays in the order of a row, then psi and context; and their shapes by name."""
+def _getter(problem: OCP) -> tuple[attrgetter[tuple[Array, ...]], dict[str, tuple[int, ...]]]:
+    """A getter of a solution's arrays in the order of a row; and their shapes by name."""
     row = solution_row(problem)
     shapes = {name: row[name].shape for name in row.names or ()}
     shapes |= {"psi": (problem.n_parameters,), "context": (problem.n_context,)}

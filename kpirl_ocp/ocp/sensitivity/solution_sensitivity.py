@@ -33,7 +33,7 @@ from kpirl_ocp.ocp.sensitivity.evidence import measure
 from kpirl_ocp.ocp.sensitivity.factorisation import Factorisation
 from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters, ImplicitFunction
 from kpirl_ocp.ocp.sensitivity.kkt_system import Instance, KKTSystem, Memory
-from kpirl_ocp.ocp.sensitivity.solution_arrays import check_solution
+from kpirl_ocp.ocp.sensitivity.solution_arrays import arrays_of, as_row
 from kpirl_ocp.pictures import Brief
 from kpirl_ocp.types import Array, Solution
 
@@ -93,7 +93,7 @@ class Sensitivity:
     ) -> None:
         check_policy(policy, ("raise", "flag"))
         self.problem, self.solution, self.policy = problem, solution, policy
-        check_solution(problem, solution)
+        self._row = as_row(arrays_of(problem, solution))
         self._instance, self._derivatives = Instance.of(problem, solution), derivatives
 
     def __repr__(self) -> str:
@@ -173,7 +173,7 @@ class Sensitivity:
         at = core.kept(Workspace)
         if at.owner() is not self:
             at.system = KKTSystem(self._instance, at.here)
-            at.system.linearise_at(self.solution, core, self._derivatives)
+            at.system.linearise_at(self._row, core, self._derivatives)
             at.owner = weakref.ref(self)
         return at
 

@@ -22,7 +22,7 @@ from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BatchSolver, Guess, Solver
 from kpirl_ocp.ocp.sensitivity.certificate import Policy, check_policy, require
 from kpirl_ocp.ocp.sensitivity.pulls import pull_each
-from kpirl_ocp.ocp.sensitivity.solution_arrays import check_solution
+from kpirl_ocp.ocp.sensitivity.solution_arrays import arrays_of, as_rows
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import Gradients
 from kpirl_ocp.ocp.solvers.riccati import Riccati
 from kpirl_ocp.types import Array, Solution, floats
@@ -110,9 +110,9 @@ def pull_many(
     slopes = _by_stage(problem, states, actions)
 
     def pull(part: slice) -> list[Gradients]:
-        for number, solution in enumerate(solutions[part], part.start):
-            check_solution(problem, solution, f"solution {number}")
-        return pull_each(problem, solutions[part], slopes[part])
+        numbered = enumerate(solutions[part], part.start)
+        rows = as_rows(problem, [arrays_of(problem, each, f"solution {number}") for number, each in numbered])
+        return pull_each(problem, solutions[part], rows, slopes[part])
 
     found = in_groups(pull, len(solutions), threads)
     for number, gradients in enumerate(found):

@@ -179,6 +179,11 @@ void kpirl_mpc_core_view(const kpirl_mpc_core *core, kpirl_mpc_view *view);
 /* The gradient r (n_w) by x of the Lagrangian of cost, dynamics and constraints but bounds, at core->at. */
 void kpirl_mpc_core_gradient(const kpirl_mpc_core *core, real *r);
 
+/* What was evaluated last as a row: objective, defects, h and h_T, e and e_T, F, G, E, and of H both triangles, behind a gradient of
+ * the Lagrangian (n_w) whose place is left to the caller. Returns how many numbers; 0 without second derivatives. row NULL: count
+ * only. */
+int kpirl_mpc_put_derivatives(const kpirl_mpc_core *core, real *row);
+
 /* Values and derivatives of a level at a point: x, costates, and the multipliers of constraints; those of bounds are not read.
  * They are core->d, but for what depends on bounds; core->d.gradient is that of kpirl_mpc_core_gradient. Returns 0, or 1 when a
  * function reported an error. */

@@ -31,6 +31,23 @@ void kpirl_mpc_core_gradient(const kpirl_mpc_core *core, real *r) {
   kpirl_mpc_equality_transposed_times(core, core->at.nu + core->n_fixed, r);
 }
 
+int kpirl_mpc_put_derivatives(const kpirl_mpc_core *core, real *row) {
+  const kpirl_mpc_derivatives *d = &core->d;
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
+  const int n_h = DIM(core, n_path), n_e = DIM(core, n_equality), n_gT = DIM(core, n_terminal), n_eT = DIM(core, n_terminal_equality);
+  const real *from[] = {&d->objective, d->defects, d->path, d->equality, d->F, d->G, d->E, d->H};
+  const int counts[] = {1, T * n_s, T * n_h + n_gT, T * n_e + n_eT, T * n_s * n_x, T * n_x * n_h + n_s * n_gT,
+                        T * n_x * n_e + n_s * n_eT, T * n_x * n_x + n_s * n_s};
+  int i, end = kpirl_mpc_n_point(core);
+  if (!d->matrices) return 0;
+  for (i = 0; i < 8; ++i) {
+    if (row && counts[i]) memcpy(row + end, from[i], (size_t)counts[i] * sizeof(real));
+    end += counts[i];
+  }
+  if (row) kpirl_mpc_mirror_stages(T, n_s, n_x, row + end - counts[7]);
+  return end;
+}
+
 static void set_point(kpirl_mpc_core *core, const kpirl_mpc_numbers *numbers, const kpirl_mpc_start *point) {
   const int bounds = kpirl_mpc_n_bounds(core), fixed = core->n_fixed;
   kpirl_mpc_set_numbers(core, numbers);

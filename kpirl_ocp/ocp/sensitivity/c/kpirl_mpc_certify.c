@@ -237,21 +237,17 @@ static void answer_next(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core 
                         kpirl_mpc_questions *q, kpirl_mpc_answers *a) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s);
-  const int n_solution = 2 * n_w + s->horizon * s->n_states + m - s->n_bounds;
-  q->numbers.s0 = q->solutions;
-  k->numbers = q->numbers;
+  const int n_psi = k->dimensions.n_parameters, n_context = k->dimensions.n_context;
   k->barrier = *q->barriers;
   *a->finite = kpirl_mpc_kkt_linearise(k, core, q->solutions, NULL) && kpirl_mpc_all_finite(q->slopes, n_w);
   memcpy(a->active, s->active, (size_t)m * sizeof(real));
   if (*a->finite) kpirl_mpc_certify(k, nearby, core, function, q->slopes, NULL, &a->gradients, a->evidence);
-  q->numbers.psi += k->dimensions.n_parameters;
-  q->numbers.context += k->dimensions.n_context;
-  q->solutions += n_solution;
+  q->solutions += 2 * n_w + s->horizon * s->n_states + m - s->n_bounds + n_psi + n_context;
   q->slopes += n_w;
   ++q->barriers;
-  a->gradients.psi += k->dimensions.n_parameters;
+  a->gradients.psi += n_psi;
   a->gradients.s0 += s->n_states;
-  a->gradients.context += k->dimensions.n_context;
+  a->gradients.context += n_context;
   ++a->evidence;
   a->active += m;
   ++a->finite;

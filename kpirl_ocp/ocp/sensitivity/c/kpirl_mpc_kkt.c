@@ -53,10 +53,11 @@ static void set_sizes(kpirl_mpc_system *s, const kpirl_mpc_dimensions *of, const
   s->signs = rows->signs;
 }
 
-static size_t n_matrices(const kpirl_mpc_system *s) {
+/* Of kpirl_mpc_put_derivatives. */
+static size_t n_derivatives(const kpirl_mpc_system *s) {
   const size_t T = (size_t)s->horizon, n_s = (size_t)s->n_states, n_x = n_s + (size_t)s->n_actions;
   const size_t rows = (size_t)(s->n_path + s->n_equality), last_rows = (size_t)(s->n_terminal + s->n_terminal_equality);
-  return T * n_x * (n_s + rows + n_x) + n_s * (last_rows + n_s);
+  return 1 + T * n_x + n_s + T * (n_s + rows) + last_rows + T * n_x * (n_s + rows + n_x) + n_s * (last_rows + n_s);
 }
 
 size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, real *memory) {
@@ -93,7 +94,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
   k->lowest_mode = take(&from, n_w);
   k->origin = take(&from, n_w);
   k->tangent = take(&from, n_w);
-  k->matrices = take(&from, n_matrices(s));
+  k->derivatives = take(&from, n_derivatives(s));
   k->work = take(&from, VECTORS * (size_t)kpirl_mpc_system_n_triple(s) + OF_PARAMETERS * n_p);
   return from.used;
 }
@@ -101,15 +102,6 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
 /* ---- derivatives --------------------------------------------------------------------------------------------- */
 
 static void forget(kpirl_mpc_kkt *k) { k->factored = k->borrowed = k->stale = k->conditioned = k->stepped = k->reached = 0; }
-
-/* Both triangles of the Hessian into `place`: products with them take a quarter of the time. */
-static const real *take_hessian(const kpirl_mpc_system *s, const real *lower, real *place) {
-  const size_t T = (size_t)s->horizon, n_s = (size_t)s->n_states, n_x = n_s + (size_t)s->n_actions;
-  size_t t;
-  if (place != lower) memcpy(place, lower, (T * n_x * n_x + n_s * n_s) * sizeof(real));
-  for (t = 0; t <= T; ++t) kpirl_mpc_mirror(place + t * n_x * n_x, (int)(t < T ? n_x : n_s));
-  return place;
-}
 
 static void take_values(kpirl_mpc_kkt *k, const kpirl_mpc_view *from) {
   const kpirl_mpc_system *s = &k->system;
@@ -124,22 +116,21 @@ static void take_values(kpirl_mpc_kkt *k, const kpirl_mpc_view *from) {
   k->evaluated = 1;
 }
 
-void kpirl_mpc_kkt_set_derivatives(kpirl_mpc_kkt *k, const kpirl_mpc_view *derivatives) {
-  take_values(k, derivatives);
-  k->system.F = derivatives->F;
-  k->system.G = derivatives->G;
-  k->system.E = derivatives->E;
-  k->system.H = take_hessian(&k->system, derivatives->H, k->matrices);
+void kpirl_mpc_kkt_set_derivatives(kpirl_mpc_kkt *k, const real *derivatives) {
+  kpirl_mpc_system *s = &k->system;
+  const int T = s->horizon, n_s = s->n_states, n_x = n_s + s->n_actions;
+  kpirl_mpc_view view;
+  view.gradient = derivatives;
+  view.objective = derivatives[kpirl_mpc_system_n_point(s)];
+  view.defects = derivatives + kpirl_mpc_system_n_point(s) + 1;
+  view.path = view.defects + T * n_s;
+  view.equality = view.path + T * s->n_path + s->n_terminal;
+  s->F = view.equality + T * s->n_equality + s->n_terminal_equality;
+  s->G = s->F + (size_t)T * n_s * n_x;
+  s->E = s->G + (size_t)T * n_x * s->n_path + n_s * s->n_terminal;
+  s->H = s->E + (size_t)T * n_x * s->n_equality + n_s * s->n_terminal_equality;
+  take_values(k, &view);
   forget(k);
-}
-
-/* `count` numbers to `place`, which moves on; NaN where the functions failed. */
-static const real *keep(const real *from, size_t count, int failed, real **place) {
-  real *kept = *place;
-  size_t i;
-  for (i = 0; i < count; ++i) kept[i] = failed ? (real)NAN : from[i];
-  *place += count;
-  return kept;
 }
 
 kpirl_mpc_start kpirl_mpc_start_at(const kpirl_mpc_system *s, const kpirl_mpc_triple *point) {
@@ -151,34 +142,24 @@ kpirl_mpc_start kpirl_mpc_start_at(const kpirl_mpc_system *s, const kpirl_mpc_tr
   return at;
 }
 
-/* Values at the point; returns whether a function failed. */
-static int evaluate(kpirl_mpc_kkt *k, kpirl_mpc_core *core, int level, kpirl_mpc_view *view) {
-  const kpirl_mpc_start at = kpirl_mpc_start_at(&k->system, &k->point);
-  const int failed = kpirl_mpc_core_evaluate_at(core, &k->numbers, &at, level);
-  kpirl_mpc_core_view(core, view);
-  take_values(k, view);
-  forget(k);
-  return failed;
-}
-
 void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
-  kpirl_mpc_system *s = &k->system;
-  const size_t T = (size_t)s->horizon, n_s = (size_t)s->n_states, n_x = n_s + (size_t)s->n_actions;
-  const size_t n_h = (size_t)s->n_path, n_e = (size_t)s->n_equality;
-  kpirl_mpc_view view;
-  real *place = k->matrices, *hessian;
-  const int failed = evaluate(k, core, KPIRL_MPC_SECOND, &view);
-  s->F = keep(view.F, T * n_s * n_x, failed, &place);
-  s->G = keep(view.G, T * n_x * n_h + n_s * (size_t)s->n_terminal, failed, &place);
-  s->E = keep(view.E, T * n_x * n_e + n_s * (size_t)s->n_terminal_equality, failed, &place);
-  hessian = place;
-  keep(view.H, T * n_x * n_x + n_s * n_s, failed, &place);
-  s->H = take_hessian(s, hessian, hessian);
+  const kpirl_mpc_start at = kpirl_mpc_start_at(&k->system, &k->point);
+  const int failed = kpirl_mpc_core_evaluate_at(core, &k->numbers, &at, KPIRL_MPC_SECOND);
+  const int count = kpirl_mpc_put_derivatives(core, k->derivatives);
+  int i;
+  memcpy(k->derivatives, core->d.gradient, (size_t)kpirl_mpc_system_n_point(&k->system) * sizeof(real));
+  for (i = 0; failed && i < count; ++i) k->derivatives[i] = (real)NAN;
+  kpirl_mpc_kkt_set_derivatives(k, k->derivatives);
 }
 
 void kpirl_mpc_kkt_update(kpirl_mpc_kkt *k, kpirl_mpc_core *core) {
+  const kpirl_mpc_start at = kpirl_mpc_start_at(&k->system, &k->point);
+  const int failed = kpirl_mpc_core_evaluate_at(core, &k->numbers, &at, KPIRL_MPC_FIRST);
   kpirl_mpc_view view;
-  if (evaluate(k, core, KPIRL_MPC_FIRST, &view)) k->gradient[0] = (real)NAN;
+  kpirl_mpc_core_view(core, &view);
+  take_values(k, &view);
+  if (failed) k->gradient[0] = (real)NAN;
+  forget(k);
   k->stale = !k->rows->quadratic;
 }
 
@@ -277,6 +258,9 @@ void kpirl_mpc_kkt_set_solution(kpirl_mpc_kkt *k, const real *solution) {
   const real *actions = solution + n_states, *costates = actions + n_actions, *of_states = costates + n_c;
   const real *of_actions = of_states + n_states, *of_rows = of_actions + n_actions;
   real *net = k->work;
+  k->numbers.s0 = solution;
+  k->numbers.psi = of_rows + kpirl_mpc_system_n_rows(s) - s->n_bounds;
+  k->numbers.context = k->numbers.psi + k->dimensions.n_parameters;
   k->evaluated = 0;
   kpirl_mpc_by_stage(&k->dimensions, solution, actions, k->point.x);
   memcpy(k->point.costates, costates, (size_t)n_c * sizeof(real));
@@ -285,7 +269,7 @@ void kpirl_mpc_kkt_set_solution(kpirl_mpc_kkt *k, const real *solution) {
   memcpy(k->point.forces + s->n_bounds, of_rows, (size_t)(kpirl_mpc_system_n_rows(s) - s->n_bounds) * sizeof(real));
 }
 
-int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *solution, const kpirl_mpc_view *derivatives) {
+int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *k, kpirl_mpc_core *core, const real *solution, const real *derivatives) {
   kpirl_mpc_kkt_set_solution(k, solution);
   if (derivatives)
     kpirl_mpc_kkt_set_derivatives(k, derivatives);

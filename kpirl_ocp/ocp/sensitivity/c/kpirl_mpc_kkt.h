@@ -70,7 +70,7 @@ typedef struct kpirl_mpc_kkt {
   real *origin;               /* (n_w) x before it was polished */
   real *shares;               /* (m) kpirl_mpc_force_shares */
   real *tangent;              /* (n_w) change of x as parameters move in kpirl_mpc_kink_in_parameters; zero until it is known */
-  real *matrices, *work;
+  real *derivatives, *work;
   real lowest, qualification; /* that eigenvalue; the smallest singular value of the active rows */
   real step, margin;          /* kpirl_mpc_kkt_step, kpirl_mpc_kkt_reach */
   real distance;              /* kpirl_mpc_kkt_polish */
@@ -101,14 +101,14 @@ real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *kkt, const real *slack, int r
 size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *kkt, const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, real *memory);
 
 /* A solution as kkt->point: S (T+1, n_s), U (T, n_u), and the multipliers of the dynamics (T, n_s), of the bounds of S and U, positive
- * at an upper and negative at a lower one, of h, h_T, e and e_T, row by row, one array after the other. Of the two sides of a
- * bound, the force is on the one that pushes; with a barrier, `pushing` has those of both. */
+ * at an upper and negative at a lower one, of h, h_T, e and e_T, row by row; then psi and the context, one array after the other.
+ * They must stay: kkt->numbers begin to show these, but for the schedule. Of the two sides of a bound, the force is on the one that
+ * pushes; with a barrier, `pushing` has those of both. */
 void kpirl_mpc_kkt_set_solution(kpirl_mpc_kkt *kkt, const real *solution);
 
-/* Derivatives at kkt->point: evaluated by a core; or set to known ones, whose matrices must stay. path: h and h_T; equality:
- * e and e_T. */
+/* Derivatives at kkt->point: evaluated by a core; or set to a row of kpirl_mpc_put_derivatives, which must stay. */
 void kpirl_mpc_kkt_evaluate(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core);
-void kpirl_mpc_kkt_set_derivatives(kpirl_mpc_kkt *kkt, const kpirl_mpc_view *derivatives);
+void kpirl_mpc_kkt_set_derivatives(kpirl_mpc_kkt *kkt, const real *derivatives);
 
 /* The gradient of the Lagrangian and values alone at kkt->point: the matrices stay those of a point close by. And matrices at
  * kkt->point, where they are stale. */
@@ -126,7 +126,7 @@ kpirl_mpc_start kpirl_mpc_start_at(const kpirl_mpc_system *system, const kpirl_m
 int kpirl_mpc_kkt_select(kpirl_mpc_kkt *kkt, const real *active);
 
 /* All of these for a solution, polished where all is finite; derivatives NULL: they are evaluated. */
-int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const real *solution, const kpirl_mpc_view *derivatives);
+int kpirl_mpc_kkt_linearise(kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const real *solution, const real *derivatives);
 
 /* The same where the point has moved so little that sizes, active rows and roots stay. */
 int kpirl_mpc_kkt_select_again(kpirl_mpc_kkt *kkt);
@@ -224,10 +224,9 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, kpirl_mpc_core
                        const real *slope, const real *direction, const kpirl_mpc_by_parameters *by,
                        kpirl_mpc_evidence *evidence);
 
-/* Solutions, each for numbers of its own, and the slopes (n_w) of functions whose gradients are wanted. Arrays hold one row for each;
- * those of solutions as in kpirl_mpc_kkt_set_solution. s_0 is not read: states begin with it. */
+/* Solutions, and the slopes (n_w) of functions whose gradients are wanted. Arrays hold one row for each; those of solutions as in
+ * kpirl_mpc_kkt_set_solution. */
 typedef struct kpirl_mpc_questions {
-  kpirl_mpc_numbers numbers;
   const real *solutions, *slopes, *barriers;
 } kpirl_mpc_questions;
 

@@ -235,6 +235,11 @@ void kpirl_mpc_mirror(real *a, int n) {
     for (k = j; k < i; ++k) a[k + i * n] = a[i + k * n];
 }
 
+void kpirl_mpc_mirror_stages(int T, int n_s, int n_x, real *H) {
+  int t;
+  for (t = 0; t <= T; ++t) kpirl_mpc_mirror(H + t * n_x * n_x, t < T ? n_x : n_s);
+}
+
 void kpirl_mpc_add_rows(const real *columns, int n, int rows, const real *weights, real *M) {
   int i, j, r;
   for (r = 0; r < rows; ++r) {

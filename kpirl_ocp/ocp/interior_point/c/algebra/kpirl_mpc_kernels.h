@@ -29,5 +29,6 @@ void kpirl_mpc_stage_rows_transposed_times(int T, int n_s, int n_x, const real *
 
 void kpirl_mpc_transpose(const real *a, int rows, int columns, real *transposed);
 void kpirl_mpc_mirror(real *a, int n); /* the lower triangle onto the upper one */
+void kpirl_mpc_mirror_stages(int T, int n_s, int n_x, real *H); /* of (n_x, n_x) of the stages 0 .. T-1, then (n_s, n_s) of the end */
 
 #endif

@@ -77,7 +77,7 @@ void kpirl_mpc_solve_each(kpirl_mpc_core *core, int count, const kpirl_mpc_numbe
 int kpirl_mpc_layout(void) {
   static const size_t sizes[] = {
       sizeof(kpirl_mpc_dimensions), sizeof(kpirl_mpc_model), sizeof(kpirl_mpc_bounds), sizeof(kpirl_mpc_numbers),
-      sizeof(kpirl_mpc_options), sizeof(kpirl_mpc_start), sizeof(kpirl_mpc_view), sizeof(kpirl_mpc_residuals),
+      sizeof(kpirl_mpc_options), sizeof(kpirl_mpc_start), sizeof(kpirl_mpc_residuals),
       sizeof(kpirl_mpc_iteration), sizeof(kpirl_mpc_buffered), sizeof(kpirl_mpc_compiled), sizeof(kpirl_mpc_tapes),
       sizeof(kpirl_mpc_members), sizeof(kpirl_mpc_system), sizeof(kpirl_mpc_triple), sizeof(kpirl_mpc_rows),
       sizeof(kpirl_mpc_kkt), sizeof(kpirl_mpc_evidence), sizeof(kpirl_mpc_by_parameters), sizeof(kpirl_mpc_result),
