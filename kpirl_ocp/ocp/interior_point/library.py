@@ -170,7 +170,7 @@ Evidence = _structure(
 )
 ByParameters = _structure("ByParameters", psi=POINTER, s0=POINTER, context=POINTER)
 Questions = _structure("Questions", solutions=POINTER, slopes=POINTER, barriers=POINTER)
-Answers = _structure("Answers", gradients=ByParameters, evidence=POINTER, active=POINTER, finite=POINTER)
+Answers = _structure("Answers", answers=POINTER, active=POINTER, finite=POINTER)
 _OF_SYSTEMS = {
     "rows_transposed_times": 3,
     "kkt_init": 4,
@@ -179,7 +179,7 @@ _OF_SYSTEMS = {
     "kkt_condition": 1,
     "kkt_solve": 3,
     "weigh": 7,
-    "certify": 8,
+    "certify": 7,
     "point_sizes": 4,
     "kink_in_parameters": 5,
     "kink_of_loss": 9,

@@ -6,6 +6,7 @@ The arithmetic is in C: `kpirl_mpc_certify.c` and `kpirl_mpc_kinks.c`.
 from __future__ import annotations
 
 import ctypes
+from itertools import accumulate
 
 import numpy as np
 
@@ -24,10 +25,25 @@ MEASURED = tuple(name for name, *_ in c.Evidence._fields_)
 """Fields of a `SensitivityCertificate`, in the order of the structure `kpirl_mpc_evidence` of numbers."""
 
 
+class AnswerLayout:
+    """An answer of the C code: gradients by psi, s_0 and the context, then the fields `MEASURED`, one behind the other.
+
+    size: how many numbers. psi, s0, context, measured: which of them.
+    """
+
+    def __init__(self, problem: OCP) -> None:
+        sizes = (problem.n_parameters, problem.n_states, problem.n_context, len(MEASURED))
+        ends = list(accumulate(sizes))
+        self.size = ends[-1]
+        self.psi, self.s0, self.context, self.measured = map(slice, [0, *ends], ends)
+
+
 def measure(
     core: Core, system: KKTSystem, nearby: Memory, slope: Array, direction: Array | None = None
-) -> tuple[ByParameters, dict[str, float]]:
+) -> tuple[ByParameters, dict[str, float], bool]:
     """Gradients of a function of x with gradient `slope`, and the measured fields of a `SensitivityCertificate`.
+
+    The third result is whether the slope is finite.
 
     Args:
         core: evaluates the problem's functions.
@@ -36,12 +52,12 @@ def measure(
         slope: (n_w,) gradient by x.
         direction: (n_w,) direction along which smoothness is tested; by default the adjoint.
     """
-    found, evidence = ByParameters.empty(system.instance.problem), (c.REAL * len(MEASURED))()
-    structure, along = found.structure, None if direction is None else c.address_of(direction)
-    systems, ends = (system.address, nearby.address), (ctypes.addressof(structure), ctypes.addressof(evidence))
-    function = core.function(parameter_derivatives.pull)
-    core.library.kpirl_mpc_certify(*systems, core.address, function, c.address_of(slope), along, *ends)
-    return found, dict(zip(MEASURED, evidence[:], strict=True))
+    part, along = core.kept(AnswerLayout), None if direction is None else c.address_of(direction)
+    answer, function = np.empty(part.size), core.function(parameter_derivatives.pull)
+    given = system.address, nearby.address, core.address, function, c.address_of(slope), along, c.address_of(answer)
+    finite = bool(core.library.kpirl_mpc_certify(*given))
+    found = ByParameters(answer[part.psi], answer[part.s0], answer[part.context])
+    return found, dict(zip(MEASURED, answer[part.measured].tolist(), strict=True)), finite
 
 
 def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:

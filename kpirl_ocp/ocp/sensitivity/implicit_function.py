@@ -33,10 +33,9 @@ class ByParameters(NamedTuple):
     context: Array
 
     @classmethod
-    def empty(cls, problem: OCP, *count: int) -> ByParameters:
-        """Uninitialised arrays for one function, or for `count` functions: (count, n_psi), .. ."""
-        psi, s0, context = (*count, problem.n_parameters), (*count, problem.n_states), (*count, problem.n_context)
-        return cls(np.empty(psi), np.empty(s0), np.empty(context))
+    def empty(cls, problem: OCP) -> ByParameters:
+        """Uninitialised arrays."""
+        return cls(np.empty(problem.n_parameters), np.empty(problem.n_states), np.empty(problem.n_context))
 
     @property
     def structure(self) -> Any:

@@ -14,8 +14,7 @@ from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.sensitivity.certificate import judged
-from kpirl_ocp.ocp.sensitivity.evidence import MEASURED
-from kpirl_ocp.ocp.sensitivity.implicit_function import ByParameters
+from kpirl_ocp.ocp.sensitivity.evidence import MEASURED, AnswerLayout
 from kpirl_ocp.ocp.sensitivity.rows import rows_of
 from kpirl_ocp.ocp.sensitivity.solution_sensitivity import Gradients, Workspace
 from kpirl_ocp.types import Array, Solution
@@ -24,16 +23,14 @@ from kpirl_ocp.types import Array, Solution
 class _Answers:
     """Arrays into which the C code writes B gradients and their evidence, one row each.
 
-    by_parameters: (B, n_psi), (B, n_s), (B, n_c). evidence: (B, 8), in the order of `MEASURED`. active: (B, n_rows),
-        nonzero for active rows. finite: (B,) zero where derivatives or slopes are not finite; the rows of the first two
-        are then not set.
+    answers: (B, n) in the order of an `AnswerLayout`. active: (B, n_rows), nonzero for active rows. finite: (B,) zero
+        where derivatives or slopes are not finite, so that there is no answer.
     """
 
-    def __init__(self, problem: OCP, count: int) -> None:
-        self.by_parameters, self.evidence = ByParameters.empty(problem, count), np.empty((count, len(MEASURED)))
-        self.active, self.finite = np.empty((count, len(rows_of(problem).inequality))), np.empty(count, np.intc)
-        own = map(c.address_of, (self.evidence, self.active))
-        self.structure = c.Answers(self.by_parameters.structure, *own, c.address_of(self.finite))
+    def __init__(self, problem: OCP, layout: AnswerLayout, count: int) -> None:
+        self.answers, self.finite = np.empty((count, layout.size)), np.empty(count, np.intc)
+        self.active = np.empty((count, len(rows_of(problem).inequality)))
+        self.structure = c.Answers(*map(c.address_of, (self.answers, self.active)), c.address_of(self.finite))
 
 
 def pull_each(problem: OCP, solutions: Sequence[Solution], rows: NDArray[np.void], slopes: Array) -> list[Gradients]:
@@ -45,26 +42,26 @@ def pull_each(problem: OCP, solutions: Sequence[Solution], rows: NDArray[np.void
         rows: the same (B,), see `as_rows`.
         slopes: dL/dx of each (B, n_w), see `by_stage`.
     """
-    barriers, answers = np.array([each.barrier for each in solutions]), _Answers(problem, len(solutions))
+    barriers = np.array([each.barrier for each in solutions])
     questions = c.Questions(rows.ctypes.data, *map(c.address_of, (slopes, barriers)))
     with borrow_core(problem) as core:
-        at = core.kept(Workspace)
+        at, layout = core.kept(Workspace), core.kept(AnswerLayout)
+        answers = _Answers(problem, layout, len(solutions))
         at.release()
         function = core.function(parameter_derivatives.pull, uses=len(solutions))
         addresses = at.here.address, at.nearby.address, core.address, function
         ends = ctypes.addressof(questions), ctypes.addressof(answers.structure)
         core.library.kpirl_mpc_certify_each(*addresses, len(solutions), *ends)
-    return _gradients(problem, solutions, answers)
+    return _gradients(problem, solutions, answers, layout)
 
 
-def _gradients(problem: OCP, solutions: Sequence[Solution], answers: _Answers) -> list[Gradients]:
+def _gradients(problem: OCP, solutions: Sequence[Solution], found: _Answers, part: AnswerLayout) -> list[Gradients]:
     """One record per solution; their arrays are views of the answers."""
-    undefined = answers.finite == 0
-    for by in answers.by_parameters:
-        by[undefined] = np.nan
+    undefined, answers = found.finite == 0, found.answers
+    answers[undefined] = np.nan
     evidence = [
         None if nothing else dict(zip(MEASURED, row, strict=True))
-        for row, nothing in zip(answers.evidence.tolist(), undefined, strict=True)
+        for row, nothing in zip(answers[:, part.measured].tolist(), undefined, strict=True)
     ]
-    certificates = map(partial(judged, "flag", problem), solutions, answers.active != 0, evidence)
-    return list(map(Gradients, *answers.by_parameters, certificates))
+    certificates = map(partial(judged, "flag", problem), solutions, found.active != 0, evidence)
+    return list(map(Gradients, answers[:, part.psi], answers[:, part.s0], answers[:, part.context], certificates))

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.ocp.interior_point.core import Core
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
-from kpirl_ocp.ocp.interior_point.library import all_finite
 from kpirl_ocp.ocp.problem.layout import by_stage, split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives
@@ -128,10 +127,11 @@ class Sensitivity:
             return found, at.system.parameter_tangent
 
     def _pull(self, core: Core, at: Workspace, slope: Array) -> Gradients:
-        if not (at.system.finite and all_finite(slope)):
-            return Gradients.undefined(self.problem, self._certificate(at, None))
-        (psi, s0, context), evidence = measure(core, at.system, at.nearby, slope)
-        return Gradients(psi, s0, context, self._certificate(at, evidence))
+        if at.system.finite:
+            (psi, s0, context), evidence, finite = measure(core, at.system, at.nearby, slope)
+            if finite:
+                return Gradients(psi, s0, context, self._certificate(at, evidence))
+        return Gradients.undefined(self.problem, self._certificate(at, None))
 
     def push(
         self, psi: ArrayLike | None = None, s0: ArrayLike | None = None, context: ArrayLike | None = None
@@ -158,7 +158,7 @@ class Sensitivity:
             at.system.renew(core)
             function = ImplicitFunction(at.system, Factorisation(at.system))
             change, residual = function.push(ByParameters(dpsi, ds0, dcontext))
-            _, evidence = measure(core, at.system, at.nearby, change.x, change.x)
+            _, evidence, _ = measure(core, at.system, at.nearby, change.x, change.x)
             certificate = self._certificate(at, evidence | {"linear_residual": residual})
         problem = self.problem
         return Tangent(*split(change.x, problem.horizon, problem.n_states, problem.n_actions), certificate)

@@ -69,6 +69,14 @@ void kpirl_mpc_kkt_pull(const kpirl_mpc_kkt *k, const kpirl_mpc_weighted *functi
   for (i = 0; i < k->dimensions.n_context; ++i) by->context[i] = (real)NAN;
 }
 
+static kpirl_mpc_by_parameters place_gradients(const kpirl_mpc_kkt *k, real *memory) {
+  kpirl_mpc_by_parameters by;
+  by.psi = memory;
+  by.s0 = by.psi + k->dimensions.n_parameters;
+  by.context = by.s0 + k->dimensions.n_states;
+  return by;
+}
+
 /* Gradients of a function of x with a slope, from derivatives of the weighted conditions; free entries of s_0 are decisions. */
 static void add_slope(const kpirl_mpc_kkt *k, const real *slope, const kpirl_mpc_by_parameters *by) {
   int i;
@@ -205,10 +213,11 @@ static void look_around(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core 
   evidence->kink = k->rows->quadratic ? 0 : kpirl_mpc_kink_along(k, core, direction ? direction : k->adjoint.x);
 }
 
-void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
-                       const real *slope, const real *direction, const kpirl_mpc_by_parameters *by,
-                       kpirl_mpc_evidence *evidence) {
+int kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
+                      const real *slope, const real *direction, real *answer) {
   const int n_w = kpirl_mpc_system_n_point(&k->system);
+  const kpirl_mpc_by_parameters by = place_gradients(k, answer);
+  kpirl_mpc_evidence *evidence = (kpirl_mpc_evidence *)(by.context + k->dimensions.n_context);
   kpirl_mpc_triple *adjoint = &k->adjoint;
   int finite;
   evidence->linear_residual = kpirl_mpc_kkt_adjoint(k, slope);
@@ -224,10 +233,11 @@ void kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *
   }
   evidence->curvature = k->lowest;
   evidence->qualification = k->qualification;
-  kpirl_mpc_kkt_pull(k, function, adjoint, by);
+  kpirl_mpc_kkt_pull(k, function, adjoint, &by);
   if (finite)
-    evidence->kink = kpirl_mpc_worse(evidence->kink, kpirl_mpc_kink_in_parameters(k, core, function, adjoint, by));
-  add_slope(k, slope, by);
+    evidence->kink = kpirl_mpc_worse(evidence->kink, kpirl_mpc_kink_in_parameters(k, core, function, adjoint, &by));
+  add_slope(k, slope, &by);
+  return kpirl_mpc_all_finite(slope, n_w);
 }
 
 /* ---- several -------------------------------------------------------------------------------------------------------- */
@@ -237,18 +247,15 @@ static void answer_next(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core 
                         kpirl_mpc_questions *q, kpirl_mpc_answers *a) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), m = kpirl_mpc_system_n_rows(s);
-  const int n_psi = k->dimensions.n_parameters, n_context = k->dimensions.n_context;
+  const int n_parameters = k->dimensions.n_parameters + k->dimensions.n_context;
   k->barrier = *q->barriers;
-  *a->finite = kpirl_mpc_kkt_linearise(k, core, q->solutions, NULL) && kpirl_mpc_all_finite(q->slopes, n_w);
+  *a->finite = kpirl_mpc_kkt_linearise(k, core, q->solutions, NULL) &&
+               kpirl_mpc_certify(k, nearby, core, function, q->slopes, NULL, a->answers);
   memcpy(a->active, s->active, (size_t)m * sizeof(real));
-  if (*a->finite) kpirl_mpc_certify(k, nearby, core, function, q->slopes, NULL, &a->gradients, a->evidence);
-  q->solutions += 2 * n_w + s->horizon * s->n_states + m - s->n_bounds + n_psi + n_context;
+  q->solutions += 2 * n_w + s->horizon * s->n_states + m - s->n_bounds + n_parameters;
   q->slopes += n_w;
   ++q->barriers;
-  a->gradients.psi += n_psi;
-  a->gradients.s0 += s->n_states;
-  a->gradients.context += n_context;
-  ++a->evidence;
+  a->answers += n_parameters + s->n_states + sizeof(kpirl_mpc_evidence) / sizeof(real);
   a->active += m;
   ++a->finite;
 }

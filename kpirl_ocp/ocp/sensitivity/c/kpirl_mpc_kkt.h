@@ -218,11 +218,10 @@ real kpirl_mpc_kkt_adjoint(kpirl_mpc_kkt *kkt, const real *slope);
 void kpirl_mpc_kkt_pull(const kpirl_mpc_kkt *kkt, const kpirl_mpc_weighted *function, kpirl_mpc_triple *adjoint,
                         const kpirl_mpc_by_parameters *by);
 
-/* Gradients of a function with a slope (n_w), and evidence for them: the adjoint has to be stable, and the problem smooth along the
- * adjoint, or along `direction` where that is given. */
-void kpirl_mpc_certify(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
-                       const real *slope, const real *direction, const kpirl_mpc_by_parameters *by,
-                       kpirl_mpc_evidence *evidence);
+/* Gradients of a function with a slope (n_w), by psi, s_0 and the context, and behind them the evidence: the adjoint has to be stable,
+ * and the problem smooth along the adjoint, or along `direction` where that is given. Returns whether the slope is finite. */
+int kpirl_mpc_certify(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
+                      const real *slope, const real *direction, real *answer);
 
 /* Solutions, and the slopes (n_w) of functions whose gradients are wanted. Arrays hold one row for each; those of solutions as in
  * kpirl_mpc_kkt_set_solution. */
@@ -230,12 +229,10 @@ typedef struct kpirl_mpc_questions {
   const real *solutions, *slopes, *barriers;
 } kpirl_mpc_questions;
 
-/* Gradients, evidence, the active rows (m), and whether all derivatives and the slope are finite; otherwise nothing is written to
- * gradients and evidence. One row for each. */
+/* Answers of kpirl_mpc_certify, the active rows (m), and whether all derivatives and the slope are finite: else there is no answer.
+ * One row for each. */
 typedef struct kpirl_mpc_answers {
-  kpirl_mpc_by_parameters gradients;
-  kpirl_mpc_evidence *evidence;
-  real *active;
+  real *answers, *active;
   int *finite;
 } kpirl_mpc_answers;
 
