@@ -125,10 +125,9 @@ def lengths(problem: OCP) -> tuple[int, int, int]:
 def by_stage(states: Array, actions: Array) -> Array:
     """States (.., T+1, n_s) and actions (.., T, n_u) as vectors (.., n_w) = (s_0, u_0, s_1, .., u_{T-1}, s_T)."""
     (*many, T, n_u), n_s = actions.shape, states.shape[-1]
-    x = np.empty((*many, T * (n_s + n_u) + n_s))
-    stages = x[..., : T * (n_s + n_u)].reshape(*many, T, n_s + n_u)
-    stages[..., :n_s], stages[..., n_s:], x[..., T * (n_s + n_u) :] = states[..., :-1, :], actions, states[..., -1, :]
-    return x
+    x = np.empty((*many, T + 1, n_s + n_u))
+    x[..., :n_s], x[..., :-1, n_s:] = states, actions
+    return np.ascontiguousarray(x.reshape(*many, (T + 1) * (n_s + n_u))[..., : T * (n_s + n_u) + n_s])
 
 
 def split(x: Array, steps: int, n_s: int, n_u: int) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -125,14 +125,14 @@ def undefined(solution: Solution, active: Mask) -> SensitivityCertificate:
 
 def certified(solution: Solution, active: Mask, evidence: Mapping[str, float]) -> SensitivityCertificate:
     """The certificate from measurements, with a sentence for every condition that fails."""
-    found = {"kkt_residual": solution.residuals.worst, **evidence}
+    found: dict[str, Any] = {"kkt_residual": solution.residuals.worst, **evidence}
     failures = [] if solution.status in _SOLVED else [_not_converged(solution)]
     if solution.status is Status.ACCEPTABLE and not found["distance"] <= DISTANCE:
         failures.append(_NOT_ACCEPTABLE.format(found["distance"]))
     failures += [text.format(found[name], bound) for name, bound, text in _AT_MOST if not found[name] <= bound]
     failures += [text.format(found[name], bound) for name, bound, text in _AT_LEAST if not found[name] >= bound]
-    given = {"solution": solution, "failures": tuple(failures), "active": active, "barrier": solution.barrier}
-    return record(SensitivityCertificate, given | found)
+    found |= {"solution": solution, "failures": tuple(failures), "active": active, "barrier": solution.barrier}
+    return record(SensitivityCertificate, found)
 
 
 def judged(

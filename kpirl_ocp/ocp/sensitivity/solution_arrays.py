@@ -28,13 +28,13 @@ def arrays_of(problem: OCP, solution: Solution, name: str = "the solution") -> S
         raise ProblemError(
             f"an OCP and {name} of it are needed, in this order, got {shown(problem)}, {shown(solution)}."
         )
-    getter, shapes = _getter(problem)
+    getter, names, shapes = _getter(problem)
     arrays = getter(solution)
     plain = set(map(type, arrays)) == _ARRAYS and set(map(_dtype, arrays)) == _FLOATS
-    if plain and [*map(_shape, arrays)] == [*shapes.values()]:
+    if plain and [*map(_shape, arrays)] == shapes:
         return arrays
-    found = [floats(f"{name}'s {part}", array) for part, array in zip(shapes, arrays, strict=True)]
-    for (part, shape), array in zip(shapes.items(), found, strict=True):
+    found = [floats(f"{name}'s {part}", array) for part, array in zip(names, arrays, strict=True)]
+    for part, shape, array in zip(names, shapes, found, strict=True):
         if array.shape != shape:
             raise ProblemError(f"{name}'s {part} must be {shape}, got {array.shape}: it is of another problem.")
     return found
@@ -45,8 +45,8 @@ def as_rows(problem: OCP, solutions: Sequence[Sequence[Array]]) -> NDArray[np.vo
 
     `numpy.concatenate` would hand the interpreter's lock to another thread after each array.
     """
-    _, shapes = _getter(problem)
-    return np.array([tuple(each) for each in solutions], [(name, float, shape) for name, shape in shapes.items()])
+    row = [(name, float, shape) for name, shape in zip(*_getter(problem)[1:], strict=True)]
+    return np.array([tuple(each) for each in solutions], row)
 
 
 def as_row(arrays: Sequence[Array]) -> bytes:
@@ -58,9 +58,8 @@ def as_row(arrays: Sequence[Array]) -> bytes:
 
 
 @lru_cache(maxsize=64)
-def _getter(problem: OCP) -> tuple[attrgetter[tuple[Array, ...]], dict[str, tuple[int, ...]]]:
-    """A getter of a solution's arrays in the order of a row; and their shapes by name."""
+def _getter(problem: OCP) -> tuple[attrgetter[tuple[Array, ...]], list[str], list[tuple[int, ...]]]:
+    """A getter of a solution's arrays in the order of a row, their names and their shapes."""
     row = solution_row(problem)
-    shapes = {name: row[name].shape for name in row.names or ()}
-    shapes |= {"psi": (problem.n_parameters,), "context": (problem.n_context,)}
-    return attrgetter(*shapes), shapes
+    names, shapes = [*(row.names or ()), "psi", "context"], [row[name].shape for name in row.names or ()]
+    return attrgetter(*names), names, [*shapes, (problem.n_parameters,), (problem.n_context,)]

@@ -27,17 +27,17 @@ class Arrays(Dimensions):
 
     def as_actions(self, actions: ArrayLike) -> Array:
         """Actions as a float64 array (T, n_u), with added ones zero if they are missing. ProblemError for others."""
-        shapes = [(self.horizon, n) for n in (self.n_stated_actions, self.n_actions)]
-        array = matrix("actions", "(T, n_u)", actions, *shapes)
-        if array.shape == shapes[1]:
+        stated, whole = (self.horizon, self.n_stated_actions), (self.horizon, self.n_actions)
+        array = matrix("actions", "(T, n_u)", actions, stated, whole)
+        if array.shape == whole:
             return array.copy()
         return np.pad(array, ((0, 0), (0, self.n_actions - array.shape[1])))
 
     def as_states(self, states: ArrayLike) -> Array:
         """States as a float64 array (T+1, n_s), with or without added ones. ProblemError for another shape."""
-        shapes = [(self.horizon + 1, n) for n in (self.n_stated_states, self.n_states)]
-        array = matrix("states", "(T+1, n_s)", states, *shapes)
-        if array.shape == shapes[1]:
+        stated, whole = (self.horizon + 1, self.n_stated_states), (self.horizon + 1, self.n_states)
+        array = matrix("states", "(T+1, n_s)", states, stated, whole)
+        if array.shape == whole:
             return array.copy()
         missing = self.additions.states[array.shape[1] - self.n_stated_states :]
         return np.hstack([array, np.tile(missing, (len(array), 1))])
