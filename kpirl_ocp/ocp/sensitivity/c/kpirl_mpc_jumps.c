@@ -69,8 +69,9 @@ static void moved(const real *from, const real *move, real length, int count, re
 real kpirl_mpc_weighted_sum(const kpirl_mpc_system *s, const kpirl_mpc_triple *weights, const real *values, real *sizes) {
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n_rows = kpirl_mpc_n_conditions(s) - n_w - n_c;
   const real *forces = weights->forces + s->n_bounds, *rows = values + n_w + n_c;
-  *sizes = kpirl_mpc_absolute_dot(weights->x, values, n_w) + kpirl_mpc_absolute_dot(weights->costates, values + n_w, n_c) +
-           kpirl_mpc_absolute_dot(forces, rows, n_rows);
+  if (sizes)
+    *sizes = kpirl_mpc_absolute_dot(weights->x, values, n_w) + kpirl_mpc_absolute_dot(weights->costates, values + n_w, n_c) +
+             kpirl_mpc_absolute_dot(forces, rows, n_rows);
   return kpirl_mpc_dot(weights->x, values, n_w) + kpirl_mpc_dot(weights->costates, values + n_w, n_c) +
          kpirl_mpc_dot(forces, rows, n_rows);
 }
@@ -80,7 +81,7 @@ real kpirl_mpc_moved_weighted_sum(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, 
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n_s = s->n_states;
   const int n_psi = k->dimensions.n_parameters, n_context = k->dimensions.n_context;
-  real *x = work, *psi = x + n_w, *s0 = psi + n_psi, *context = s0 + n_s, ignored;
+  real *x = work, *psi = x + n_w, *s0 = psi + n_psi, *context = s0 + n_s;
   kpirl_mpc_numbers numbers = k->numbers;
   int i;
   numbers.psi = psi;
@@ -98,7 +99,7 @@ real kpirl_mpc_moved_weighted_sum(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, 
     kpirl_mpc_start_conditions(k, core, &numbers, &point, values);
   else
     kpirl_mpc_conditions(k, core, &numbers, &point, values);
-  return kpirl_mpc_weighted_sum(s, weights, values, &ignored);
+  return kpirl_mpc_weighted_sum(s, weights, values, NULL);
 }
 
 /* The same where they have not moved, with the sizes. */

@@ -89,25 +89,6 @@ static real largest_share(const kpirl_mpc_system *s, const real *x) {
   return most;
 }
 
-/* The largest distance of one side's difference from the slope, over `whole`, or over the longest of all where that is longer. */
-static real disagreement(const real *left, const real *here, const real *right, const real *slope, const real *units, int n,
-                         real whole, int relative) {
-  real to_right = 0, to_left = 0, off_right = 0, off_left = 0, expected = 0;
-  int i;
-  for (i = 0; i < n; ++i) {
-    const real after = units[i] * (right[i] - here[i]), before = units[i] * (here[i] - left[i]), known = units[i] * slope[i];
-    to_right += after * after;
-    to_left += before * before;
-    expected += known * known;
-    off_right += (after - known) * (after - known);
-    off_left += (before - known) * (before - known);
-  }
-  if (relative)
-    whole = kpirl_mpc_sqrt(
-        kpirl_mpc_worse(kpirl_mpc_worse(kpirl_mpc_worse(to_right, to_left), expected), whole * whole));
-  return kpirl_mpc_over(kpirl_mpc_sqrt(kpirl_mpc_worse(off_right, off_left)), whole);
-}
-
 /* A jump of the Lagrangian L, whose gradients to the left, here and to the right do not see it: what is left of its changes
  * beyond slope and curvature, relative to them, or to a share of its terms that may be rounding. */
 static real value_jump(const kpirl_mpc_kkt *k, const real *L, const real *left, const real *here, const real *right,
@@ -185,22 +166,38 @@ static void find_sides(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, const kpirl
   kpirl_mpc_axpy(-1, at->pushed, n_w, at->right);
 }
 
-static real kink(const kpirl_mpc_kkt *k, const search *at) {
+/* The largest distance of one side's difference from the slope, of `n` conditions from the first on, over `whole`, or over the longest
+ * of all where that is longer. The conditions to the sides become these distances. */
+static real disagreement(search *at, int first, int n, real whole, int relative) {
+  real *left = at->left + first, *right = at->right + first, *slope = at->slope + first;
+  const real *here = at->here + first, *units = at->units + first;
+  int i;
+  for (i = 0; i < n; ++i) {
+    right[i] = units[i] * (right[i] - here[i]);
+    left[i] = units[i] * (here[i] - left[i]);
+    slope[i] *= units[i];
+  }
+  if (relative)
+    whole = kpirl_mpc_worse(kpirl_mpc_worse(kpirl_mpc_norm_2(right, n), kpirl_mpc_norm_2(left, n)),
+                            kpirl_mpc_worse(kpirl_mpc_norm_2(slope, n), whole));
+  kpirl_mpc_axpy(-1, slope, n, right);
+  kpirl_mpc_axpy(-1, slope, n, left);
+  return kpirl_mpc_over(kpirl_mpc_worse(kpirl_mpc_norm_2(right, n), kpirl_mpc_norm_2(left, n)), whole);
+}
+
+static real kink(const kpirl_mpc_kkt *k, search *at) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n = kpirl_mpc_n_conditions(s);
-  const real *left = at->left, *here = at->here, *right = at->right, *slope = at->slope, *units = at->units, *move = at->move.x;
-  const real whole = largest_share(s, move);
-  real own = 0, worst;
+  const real *move = at->move.x, whole = largest_share(s, move);
+  real worst = value_jump(k, at->lagrangian, at->left, at->here, at->right, move), own = 0;
   int i;
   for (i = 0; i < n_w; ++i) {
     const real share = KPIRL_MPC_FLOOR * k->curvature[i] * move[i] * s->sizes[i];
     own += share * share;
   }
-  worst = disagreement(left, here, right, slope, units, n_w, kpirl_mpc_sqrt(own), 1);
-  worst = kpirl_mpc_worse(worst, value_jump(k, at->lagrangian, left, here, right, move));
-  worst = kpirl_mpc_worse(worst, disagreement(left + n_w, here + n_w, right + n_w, slope + n_w, units + n_w, n_c, whole, 0));
-  i = n_w + n_c;
-  return kpirl_mpc_worse(worst, disagreement(left + i, here + i, right + i, slope + i, units + i, n - i, whole, 0));
+  worst = kpirl_mpc_worse(worst, disagreement(at, 0, n_w, kpirl_mpc_sqrt(own), 1));
+  worst = kpirl_mpc_worse(worst, disagreement(at, n_w, n_c, whole, 0));
+  return kpirl_mpc_worse(worst, disagreement(at, n_w + n_c, n - n_w - n_c, whole, 0));
 }
 
 /* Of the difference: where a Newton step still moves the solution, long enough to reach a kink within its error, at which other

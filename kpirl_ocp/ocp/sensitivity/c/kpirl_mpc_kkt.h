@@ -95,7 +95,10 @@ void kpirl_mpc_find_roots(kpirl_mpc_kkt *kkt);
 /* Forces (m) over the others on one of the entries of x that they act on, into `relative`; and one slack over the sizes of what it is
  * made of. */
 void kpirl_mpc_relative_forces(const kpirl_mpc_kkt *kkt, const real *forces, real *relative);
-real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *kkt, const real *slack, int row);
+static inline real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *kkt, const real *slack, int row) {
+  const real size = kkt->row_sizes[row];
+  return size > 0 ? slack[row] / size : slack[row] > 0 ? (real)INFINITY : slack[row];
+}
 
 /* Lay out memory for a problem; returns how many numbers it takes. memory NULL: count only. */
 size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *kkt, const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, real *memory);
@@ -189,8 +192,8 @@ real kpirl_mpc_kink_nearby(const kpirl_mpc_kkt *kkt, const kpirl_mpc_kkt *nearby
 real kpirl_mpc_kink_in_parameters(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
                                   const kpirl_mpc_triple *weights, const kpirl_mpc_by_parameters *by);
 
-/* The sum of weights times conditions, and that of their absolute values, `sizes`; and the former where psi, s_0 and the context
- * have moved by `length` times `moves`, with the conditions there, `values`. */
+/* The sum of weights times conditions, and that of their absolute values, `sizes`, where that is not NULL; and the former where psi, s_0
+ * and the context have moved by `length` times `moves`, with the conditions there, `values`. */
 real kpirl_mpc_weighted_sum(const kpirl_mpc_system *system, const kpirl_mpc_triple *weights, const real *values, real *sizes);
 real kpirl_mpc_moved_weighted_sum(const kpirl_mpc_kkt *kkt, kpirl_mpc_core *core, const kpirl_mpc_triple *weights, const real *moves,
                                   real length, real *values, real *work);

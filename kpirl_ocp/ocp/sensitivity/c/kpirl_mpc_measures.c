@@ -156,11 +156,6 @@ void kpirl_mpc_find_roots(kpirl_mpc_kkt *k) {
   }
 }
 
-real kpirl_mpc_relative_slack(const kpirl_mpc_kkt *k, const real *slack, int i) {
-  const real size = k->row_sizes[i];
-  return size > 0 ? slack[i] / size : slack[i] > 0 ? (real)INFINITY : slack[i];
-}
-
 void kpirl_mpc_relative_forces(const kpirl_mpc_kkt *k, const real *forces, real *relative) {
   int i;
   for (i = 0; i < kpirl_mpc_system_n_rows(&k->system); ++i) relative[i] = forces[i] == 0 ? 0 : forces[i] * k->shares[i];
