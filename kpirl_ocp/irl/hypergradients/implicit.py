@@ -111,7 +111,7 @@ def differentiate(
     """
     derivative = sensitivity(problem, solution, "flag", derivatives)
     at = LossAt(problem, loss, data_of(loss, problem, demonstration), derivative.plan)
-    found, tangent = derivative.pull_by_stage(at.slopes)
+    found, tangent = derivative.pull_and_move(at.slopes)
     certificate, nonfinite, kinks = found.certificate, nonfinite_failures(at.value, found.psi), at.kinks(tangent)
     if nonfinite or kinks:
         certificate = replace(certificate, failures=(*nonfinite, *certificate.failures, *kinks))

@@ -28,7 +28,7 @@ PARAMETER_KINK = "Costs, constraints or dynamics have a kink or a jump at these 
 class LossAt:
     """A loss at a plan, and its gradient.
 
-    value: of the loss. slopes: (n_w,) gradient by the plan, in the order of time.
+    value: of the loss. slopes: (n_w,) gradient by the plan, S, then U.
     """
 
     def __init__(self, problem: OCP, loss: Loss, data: Array, x: Array) -> None:

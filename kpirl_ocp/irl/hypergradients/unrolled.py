@@ -197,7 +197,7 @@ def _certified(descent: Descent, last: int, output: Array, wrong: tuple[str, ...
         return sweep.result(0.0, wrong)
     if nonfinite_failures(sweep.loss, sweep.gradient):
         return sweep.result(math.nan, wrong)  # no slopes to compare
-    at = LossAt(problem, descent.loss, descent.observed.T, _plan(solution))
+    at = LossAt(problem, descent.loss, descent.observed.T, by_stage(solution.states, solution.actions))
     kink = descent.kink(sweep.loss, sweep.gradient, sweep.terms(at))
     by_psi = [] if gentle and not depends_on_psi(problem.transition) else parameter_kinks(problem, solution)
     return sweep.result(kink, (*wrong, *at.kinks(), *by_psi))
@@ -231,8 +231,10 @@ class _Sweep(NamedTuple):
 
     def terms(self, at: LossAt) -> float:
         """The size of the loss's terms, to which its rounding error is relative, times the steps' amplification."""
+        solution = self.certificate.solution
         with np.errstate(over="ignore", invalid="ignore"):
-            size = abs(at.value) + np.abs(at.slopes) @ np.abs(_plan(self.certificate.solution))
+            plan = np.concatenate((solution.states, solution.actions), axis=None)
+            size = abs(at.value) + np.abs(at.slopes) @ np.abs(plan)
             return float(size * max(1.0, self.certificate.remainder))
 
     @property
@@ -249,11 +251,6 @@ class _Sweep(NamedTuple):
         if kink != found.kink or failures != found.failures:
             found = replace(found, kink=kink, failures=failures)
         return HypergradientResult(self.loss, self.gradient, found)
-
-
-def _plan(solution: Solution) -> Array:
-    """(n_w,) in the order of time."""
-    return by_stage(solution.states, solution.actions)
 
 
 def _sweep(descent: Descent, last: int, output: Array) -> _Sweep:

@@ -157,7 +157,7 @@ KKT = _structure(
     objective=REAL,
     **dict.fromkeys(("gradient", "defects", "slack", "pushing", "curvature", "row_sizes", "lowest_mode"), POINTER),
     row_factors=Factors,
-    **dict.fromkeys(("origin", "shares", "tangent", "derivatives", "work"), POINTER),
+    **dict.fromkeys(("origin", "slope", "shares", "tangent", "derivatives", "work"), POINTER),
     **dict.fromkeys(("lowest", "qualification", "step", "margin", "distance"), REAL),
     **dict.fromkeys(("evaluated", "factored", "immovable", "conditioned", "stepped", "reached"), INT),
     **dict.fromkeys(("borrowed", "stale"), INT),

@@ -39,22 +39,22 @@ class AnswerLayout:
 
 
 def measure(
-    core: Core, system: KKTSystem, nearby: Memory, slope: Array, direction: Array | None = None
+    core: Core, system: KKTSystem, nearby: Memory, slopes: bytes, direction: Array | None = None
 ) -> tuple[ByParameters, dict[str, float], bool]:
-    """Gradients of a function of x with gradient `slope`, and the measured fields of a `SensitivityCertificate`.
+    """Gradients of a function of the plan, and the measured fields of a `SensitivityCertificate`.
 
-    The third result is whether the slope is finite.
+    The third result is whether the slopes are finite.
 
     Args:
         core: evaluates the problem's functions.
         system: the KKT system at the solution.
         nearby: memory for a second system, which will hold the one after a further Newton step.
-        slope: (n_w,) gradient by x.
+        slopes: of the function by S (T+1, n_s), then by U (T, n_u), as float64.
         direction: (n_w,) direction along which smoothness is tested; by default the adjoint.
     """
     part, along = core.kept(AnswerLayout), None if direction is None else c.address_of(direction)
     answer, function = np.empty(part.size), core.function(parameter_derivatives.pull)
-    given = system.address, nearby.address, core.address, function, c.address_of(slope), along, c.address_of(answer)
+    given = system.address, nearby.address, core.address, function, slopes, along, c.address_of(answer)
     finite = bool(core.library.kpirl_mpc_certify(*given))
     found = ByParameters(answer[part.psi], answer[part.s0], answer[part.context])
     return found, dict(zip(MEASURED, answer[part.measured].tolist(), strict=True)), finite
@@ -87,7 +87,8 @@ def parameter_jump(problem: OCP, x: Array, psi: Array, context: Array) -> float:
 class LossOfPlan:
     """A loss at x (n_w,).
 
-    value: of the loss. slopes: (n_w,) its gradient. kink: relative deviation from smoothness in a random direction.
+    value: of the loss. slopes: (n_w,) its gradient by S, then by U. kink: relative deviation from smoothness in a
+        random direction.
     """
 
     def __init__(self, problem: OCP, build: Build, data: Array, x: Array) -> None:

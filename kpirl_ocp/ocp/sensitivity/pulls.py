@@ -40,7 +40,7 @@ def pull_each(problem: OCP, solutions: Sequence[Solution], rows: NDArray[np.void
         problem: the problem that was solved.
         solutions: B solutions that fit it.
         rows: the same (B,), see `as_rows`.
-        slopes: dL/dx of each (B, n_w), see `by_stage`.
+        slopes: dL/dS, then dL/dU of each (B, n_w).
     """
     barriers = np.array([each.barrier for each in solutions])
     questions = c.Questions(rows.ctypes.data, *map(c.address_of, (slopes, barriers)))

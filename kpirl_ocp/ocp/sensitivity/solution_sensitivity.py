@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from kpirl_ocp.ocp.interior_point.core import Core
 from kpirl_ocp.ocp.interior_point.cores import borrow_core
-from kpirl_ocp.ocp.problem.layout import by_stage, split
+from kpirl_ocp.ocp.problem.layout import split
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import StageDerivatives
 from kpirl_ocp.ocp.sensitivity.certificate import (
@@ -109,9 +109,9 @@ class Sensitivity:
             CertificateError: under the policy "raise", when the gradients are not certified.
             ProblemError: shapes that do not fit.
         """
-        states, actions = self.problem.as_states(by_states), self.problem.as_actions(by_actions)
+        slopes = self.problem.as_states(by_states), self.problem.as_actions(by_actions)
         with borrow_core(self.problem) as core:
-            return self._pull(core, self._linearised(core), by_stage(states, actions))
+            return self._pull(core, self._linearised(core), b"".join(slopes))  # type: ignore[arg-type]
 
     @property
     def plan(self) -> Array:
@@ -119,16 +119,16 @@ class Sensitivity:
         with borrow_core(self.problem) as core:
             return self._linearised(core).system.x
 
-    def pull_by_stage(self, slope: Array) -> tuple[Gradients, Array]:
-        """`pull` of a slope (n_w,) in the order (s_0, u_0, s_1, .., s_T), and `KKTSystem.parameter_tangent` (n_w,)."""
+    def pull_and_move(self, slopes: Array) -> tuple[Gradients, Array]:
+        """`pull` of slopes (n_w,) by S, then by U, and `KKTSystem.parameter_tangent` (n_w,)."""
         with borrow_core(self.problem) as core:
             at = self._linearised(core)
-            found = self._pull(core, at, slope)
+            found = self._pull(core, at, slopes.tobytes())
             return found, at.system.parameter_tangent
 
-    def _pull(self, core: Core, at: Workspace, slope: Array) -> Gradients:
+    def _pull(self, core: Core, at: Workspace, slopes: bytes) -> Gradients:
         if at.system.finite:
-            (psi, s0, context), evidence, finite = measure(core, at.system, at.nearby, slope)
+            (psi, s0, context), evidence, finite = measure(core, at.system, at.nearby, slopes)
             if finite:
                 return Gradients(psi, s0, context, self._certificate(at, evidence))
         return Gradients.undefined(self.problem, self._certificate(at, None))
@@ -158,10 +158,9 @@ class Sensitivity:
             at.system.renew(core)
             function = ImplicitFunction(at.system, Factorisation(at.system))
             change, residual = function.push(ByParameters(dpsi, ds0, dcontext))
-            _, evidence, _ = measure(core, at.system, at.nearby, change.x, change.x)
-            certificate = self._certificate(at, evidence | {"linear_residual": residual})
-        problem = self.problem
-        return Tangent(*split(change.x, problem.horizon, problem.n_states, problem.n_actions), certificate)
+            plan = split(change.x, self.problem.horizon, self.problem.n_states, self.problem.n_actions)
+            _, evidence, _ = measure(core, at.system, at.nearby, b"".join(plan), change.x)  # type: ignore[arg-type]
+            return Tangent(*plan, self._certificate(at, evidence | {"linear_residual": residual}))
 
     @property
     def _sizes(self) -> tuple[int, int, int]:

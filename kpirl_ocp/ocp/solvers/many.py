@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.solver import BatchSolver, Guess, Solver
 from kpirl_ocp.ocp.sensitivity.certificate import Policy, check_policy, require
@@ -107,7 +106,7 @@ def pull_many(
     if len(set(given.values())) > 1:
         raise ProblemError(f"pull_many needs as many of everything, got {given}.")
     check_policy(policy, ("raise", "flag"))
-    slopes = _by_stage(problem, states, actions)
+    slopes = _slopes(problem, states, actions)
 
     def pull(part: slice) -> list[Gradients]:
         numbered = enumerate(solutions[part], part.start)
@@ -180,11 +179,12 @@ def side_by_side(function: Callable[..., R], *columns: Iterable[Any], threads: i
     return [found[number] for number in sorted(found)]
 
 
-def _by_stage(problem: OCP, states: Array, actions: Array) -> Array:
-    """Slopes by states and actions of B plans in the order of time (B, n_w); raises ProblemError for other shapes."""
+def _slopes(problem: OCP, states: Array, actions: Array) -> Array:
+    """Slopes by states, then by actions of B plans (B, n_w); raises ProblemError for other shapes."""
     if not len(states):
         return np.zeros((0, 0))
-    return by_stage(_whole(problem.as_states, states), _whole(problem.as_actions, actions))
+    whole = _whole(problem.as_states, states), _whole(problem.as_actions, actions)
+    return np.concatenate([slopes.reshape(len(slopes), -1) for slopes in whole], axis=1)
 
 
 def _whole(fit: Callable[[Array], Array], slopes: Array) -> Array:

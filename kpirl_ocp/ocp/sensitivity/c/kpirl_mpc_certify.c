@@ -77,12 +77,12 @@ static kpirl_mpc_by_parameters place_gradients(const kpirl_mpc_kkt *k, real *mem
   return by;
 }
 
-/* Gradients of a function of x with a slope, from derivatives of the weighted conditions; free entries of s_0 are decisions. */
-static void add_slope(const kpirl_mpc_kkt *k, const real *slope, const kpirl_mpc_by_parameters *by) {
+/* Gradients of the function of k->slope, from derivatives of the weighted conditions; free entries of s_0 are decisions. */
+static void add_slope(const kpirl_mpc_kkt *k, const kpirl_mpc_by_parameters *by) {
   int i;
   for (i = 0; i < k->dimensions.n_parameters; ++i) by->psi[i] = -by->psi[i];
   for (i = 0; i < k->dimensions.n_context; ++i) by->context[i] = -by->context[i];
-  for (i = 0; i < k->system.n_states; ++i) by->s0[i] = slope[i] - by->s0[i] + k->adjoint.start[i];
+  for (i = 0; i < k->system.n_states; ++i) by->s0[i] = k->slope[i] - by->s0[i] + k->adjoint.start[i];
   for (i = 0; i < k->system.n_free; ++i) by->s0[k->system.free[i]] = 0;
 }
 
@@ -172,14 +172,14 @@ real kpirl_mpc_kink_along_plan(const kpirl_mpc_kkt *k, kpirl_mpc_core *core, con
 
 /* ---- evidence ------------------------------------------------------------------------------------------------------- */
 
-/* How the adjoint of a slope changes where a Newton step leads to, by second derivatives there. */
-static real find_change(const kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const real *slope) {
+/* How the adjoint of k->slope changes where a Newton step leads to, by second derivatives there. */
+static real find_change(const kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core) {
   if (!nearby->evaluated) {
     kpirl_mpc_kkt_evaluate(nearby, core);
     kpirl_mpc_kkt_select_nearby(nearby, k->system.active);
   }
   kpirl_mpc_copy_triple(&k->system, &k->adjoint, &nearby->adjoint);
-  return kpirl_mpc_kkt_change(k, nearby, slope, &nearby->adjoint);
+  return kpirl_mpc_kkt_change(k, nearby, k->slope, &nearby->adjoint);
 }
 
 /* Both by first derivatives alone, which see small changes where there is no kink; returns whether these are. An adjoint of matrices
@@ -196,7 +196,7 @@ static int find_both(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *co
 }
 
 /* Change, and kink along x. A quadratic program, whose system is the same everywhere, has none. */
-static void look_around(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const real *slope, const real *direction,
+static void look_around(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const real *direction,
                         kpirl_mpc_evidence *evidence) {
   const int smoothed = k->barrier > 0;
   if (!k->reached) kpirl_mpc_kkt_reach(k, nearby);
@@ -205,29 +205,30 @@ static void look_around(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core 
   if (!direction && !smoothed && find_both(k, nearby, core, evidence)) return;
   if (k->stale) {
     kpirl_mpc_kkt_renew(k, core);
-    evidence->linear_residual = kpirl_mpc_kkt_adjoint(k, slope);
-    look_around(k, nearby, core, slope, direction, evidence);
+    evidence->linear_residual = kpirl_mpc_kkt_adjoint(k, k->slope);
+    look_around(k, nearby, core, direction, evidence);
     return;
   }
-  evidence->change = find_change(k, nearby, core, slope);
+  evidence->change = find_change(k, nearby, core);
   evidence->kink = k->rows->quadratic ? 0 : kpirl_mpc_kink_along(k, core, direction ? direction : k->adjoint.x);
 }
 
 int kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
-                      const real *slope, const real *direction, real *answer) {
+                      const real *slopes, const real *direction, real *answer) {
   const int n_w = kpirl_mpc_system_n_point(&k->system);
   const kpirl_mpc_by_parameters by = place_gradients(k, answer);
   kpirl_mpc_evidence *evidence = (kpirl_mpc_evidence *)(by.context + k->dimensions.n_context);
   kpirl_mpc_triple *adjoint = &k->adjoint;
   int finite;
-  evidence->linear_residual = kpirl_mpc_kkt_adjoint(k, slope);
+  kpirl_mpc_by_stage(&k->dimensions, slopes, slopes + (k->dimensions.horizon + 1) * k->dimensions.n_states, k->slope);
+  evidence->linear_residual = kpirl_mpc_kkt_adjoint(k, k->slope);
   kpirl_mpc_kkt_condition(k);
   evidence->distance = k->distance;
   evidence->step = evidence->change = evidence->kink = (real)INFINITY;
   evidence->margin = (real)NAN;
   finite = kpirl_mpc_all_finite(adjoint->x, n_w) && (!direction || kpirl_mpc_all_finite(direction, n_w));
   if (finite) {
-    look_around(k, nearby, core, slope, direction, evidence);
+    look_around(k, nearby, core, direction, evidence);
     evidence->step = k->step;
     evidence->margin = k->margin;
   }
@@ -236,8 +237,8 @@ int kpirl_mpc_certify(kpirl_mpc_kkt *k, kpirl_mpc_kkt *nearby, kpirl_mpc_core *c
   kpirl_mpc_kkt_pull(k, function, adjoint, &by);
   if (finite)
     evidence->kink = kpirl_mpc_worse(evidence->kink, kpirl_mpc_kink_in_parameters(k, core, function, adjoint, &by));
-  add_slope(k, slope, &by);
-  return kpirl_mpc_all_finite(slope, n_w);
+  add_slope(k, &by);
+  return kpirl_mpc_all_finite(k->slope, n_w);
 }
 
 /* ---- several -------------------------------------------------------------------------------------------------------- */

@@ -249,12 +249,12 @@ real kpirl_mpc_kink_of_loss(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows
   for (j = 0; j < 5; ++j)
     failed |= evaluate(of, loss, data, x, move, steps[j] * KPIRL_MPC_DIFFERENCE, values + j, moved + j * n_w, own);
   *value = values[0];
-  memcpy(slopes, moved, (size_t)n_w * sizeof(real));
-  expected = kpirl_mpc_dot(slopes, move, n_w);
+  split(of, moved, slopes, slopes + (of->horizon + 1) * of->n_states);
+  expected = kpirl_mpc_dot(moved, move, n_w);
   for (i = 0; i < n_w; ++i) bend += kpirl_mpc_abs((moved[n_w + i] - moved[2 * n_w + i]) * move[i]);
   sides[0] = kpirl_mpc_abs((values[1] - values[0]) / KPIRL_MPC_DIFFERENCE - expected);
   sides[1] = kpirl_mpc_abs((values[0] - values[2]) / KPIRL_MPC_DIFFERENCE - expected);
-  whole = kpirl_mpc_worse(kpirl_mpc_worse(kpirl_mpc_absolute_dot(slopes, move, n_w), bend),
+  whole = kpirl_mpc_worse(kpirl_mpc_worse(kpirl_mpc_absolute_dot(moved, move, n_w), bend),
                           ROUNDING * kpirl_mpc_abs(values[0]) / KPIRL_MPC_DIFFERENCE);
   off = kpirl_mpc_max(kpirl_mpc_worse(sides[0], sides[1]) - bend, 0);
   for (j = 0; j < 5; ++j)

@@ -93,6 +93,7 @@ size_t kpirl_mpc_kkt_init(kpirl_mpc_kkt *k, const kpirl_mpc_dimensions *dimensio
   k->shares = take(&from, m);
   k->lowest_mode = take(&from, n_w);
   k->origin = take(&from, n_w);
+  k->slope = take(&from, n_w);
   k->tangent = take(&from, n_w);
   k->derivatives = take(&from, n_derivatives(s));
   k->work = take(&from, VECTORS * (size_t)kpirl_mpc_system_n_triple(s) + OF_PARAMETERS * n_p);

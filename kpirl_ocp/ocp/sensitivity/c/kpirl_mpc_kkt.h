@@ -68,6 +68,7 @@ typedef struct kpirl_mpc_kkt {
   real *lowest_mode;            /* (n_w) direction of the smallest eigenvalue of the reduced Hessian */
   kpirl_mpc_factors row_factors; /* of the products of the active rows, for `qualification` */
   real *origin;               /* (n_w) x before it was polished */
+  real *slope;                /* (n_w) of the function that kpirl_mpc_certify differentiates */
   real *shares;               /* (m) kpirl_mpc_force_shares */
   real *tangent;              /* (n_w) change of x as parameters move in kpirl_mpc_kink_in_parameters; zero until it is known */
   real *derivatives, *work;
@@ -221,13 +222,14 @@ real kpirl_mpc_kkt_adjoint(kpirl_mpc_kkt *kkt, const real *slope);
 void kpirl_mpc_kkt_pull(const kpirl_mpc_kkt *kkt, const kpirl_mpc_weighted *function, kpirl_mpc_triple *adjoint,
                         const kpirl_mpc_by_parameters *by);
 
-/* Gradients of a function with a slope (n_w), by psi, s_0 and the context, and behind them the evidence: the adjoint has to be stable,
- * and the problem smooth along the adjoint, or along `direction` where that is given. Returns whether the slope is finite. */
+/* Gradients of a function with slopes by S (T+1, n_s), then U (T, n_u): by psi, s_0 and the context, and behind them the evidence: the
+ * adjoint has to be stable, and the problem smooth along the adjoint, or along `direction` (n_w) where that is given. Returns whether
+ * the slopes are finite. */
 int kpirl_mpc_certify(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, kpirl_mpc_core *core, const kpirl_mpc_weighted *function,
-                      const real *slope, const real *direction, real *answer);
+                      const real *slopes, const real *direction, real *answer);
 
-/* Solutions, and the slopes (n_w) of functions whose gradients are wanted. Arrays hold one row for each; those of solutions as in
- * kpirl_mpc_kkt_set_solution. */
+/* Solutions, and the slopes of functions whose gradients are wanted. Arrays hold one row for each, as in kpirl_mpc_kkt_set_solution and
+ * kpirl_mpc_certify. */
 typedef struct kpirl_mpc_questions {
   const real *solutions, *slopes, *barriers;
 } kpirl_mpc_questions;
@@ -246,7 +248,7 @@ void kpirl_mpc_certify_each(kpirl_mpc_kkt *kkt, kpirl_mpc_kkt *nearby, kpirl_mpc
 /* Sizes (n_w) of the entries of x: the largest absolute value over the horizon, finite bounds included. */
 void kpirl_mpc_point_sizes(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, const real *x, real *sizes);
 
-/* Value and slopes (n_w) of a loss at x; and the relative jump of the slopes, or disagreement of differences with them, along `along`
+/* Value and slopes of a loss at x, by S, then U; and the relative jump of the slopes, or disagreement of differences with them, along `along`
  * (n_w), or, where that is NULL, a random direction in which given entries of s_0 stay. work: 8 n_w numbers. */
 real kpirl_mpc_kink_of_loss(const kpirl_mpc_dimensions *dimensions, const kpirl_mpc_rows *rows, const kpirl_mpc_loss *loss,
                             const real *data, const real *x, const real *along, real *value, real *slopes, real *work);

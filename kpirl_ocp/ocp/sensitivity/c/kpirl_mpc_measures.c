@@ -40,7 +40,7 @@ static int coupled(const real *H, int n_s, int n, int *first) {
 /* values (n_x) += the diagonal of |F|' |H| |F| of what H (n, n) holds off its diagonal, of the first n_s rows and columns.
  * work: n_s (n_s + 2 n_x) numbers. */
 static void add_coupling(const real *F, int n_s, int n_x, const real *H, int n, real *work, real *values) {
-  int i, first;
+  int i, k, first;
   const int count = coupled(H, n_s, n, &first) - first;
   real *absolute_H = work, *absolute_F = absolute_H + count * count, *product = absolute_F + count * n_x;
   if (count <= 0) return;
@@ -49,7 +49,8 @@ static void add_coupling(const real *F, int n_s, int n_x, const real *H, int n, 
   absolute_rows(F + first, n_s, n_x, count, absolute_F);
   memset(product, 0, (size_t)(count * n_x) * sizeof(real));
   kpirl_mpc_times(absolute_H, count, count, absolute_F, n_x, product);
-  for (i = 0; i < n_x; ++i) values[i] += kpirl_mpc_dot(absolute_F + i * count, product + i * count, count);
+  for (i = 0; i < n_x; ++i)
+    for (k = 0; k < count; ++k) values[i] += absolute_F[i * count + k] * product[i * count + k];
 }
 
 /* The same of the diagonal of H. work: n_s (n_x + 1) numbers. */
