@@ -109,15 +109,14 @@ static void tangent_right(const kpirl_mpc_system *s, const real *left, const rea
 static real cancelling(const kpirl_mpc_kkt *k, const kpirl_mpc_triple *weights) {
   const kpirl_mpc_system *s = &k->system;
   const int n_s = s->n_states, n_x = n_s + s->n_actions, n_w = kpirl_mpc_system_n_point(s);
-  real sum = 0;
-  int i;
-  for (i = 0; i < n_w; ++i) sum += kpirl_mpc_abs(weights->x[i]) * k->curvature[i] * s->sizes[i];
-  for (i = 0; i < s->horizon * n_s; ++i) {
-    const int next = (i / n_s + 1) * n_x + i % n_s;
-    sum += kpirl_mpc_abs(weights->x[next] * k->point.costates[i]) + kpirl_mpc_abs(weights->costates[i]) * s->sizes[next];
-  }
-  for (i = 0; i < kpirl_mpc_system_n_rows(s); ++i) sum += kpirl_mpc_abs(weights->forces[i]) * k->row_sizes[i];
-  return sum;
+  real *balanced = s->scratch, sum;
+  int i, t;
+  for (i = 0; i < n_w; ++i) balanced[i] = k->curvature[i] * s->sizes[i];
+  sum = kpirl_mpc_absolute_dot(weights->x, balanced, n_w);
+  for (t = 0; t < s->horizon; ++t)
+    sum += kpirl_mpc_absolute_dot(weights->x + (t + 1) * n_x, k->point.costates + t * n_s, n_s) +
+           kpirl_mpc_absolute_dot(weights->costates + t * n_s, s->sizes + (t + 1) * n_x, n_s);
+  return sum + kpirl_mpc_absolute_dot(weights->forces, k->row_sizes, kpirl_mpc_system_n_rows(s));
 }
 
 /* (w.F at step h - w.F here) / h, and F there. */

@@ -79,14 +79,10 @@ static void find_units(const kpirl_mpc_kkt *k, real *units) {
 }
 
 static real largest_share(const kpirl_mpc_system *s, const real *x) {
-  real most = 0;
+  real *shares = s->scratch;
   int i;
-  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) {
-    const real share = kpirl_mpc_abs(x[i] / s->sizes[i]);
-    if (!(share <= most)) most = share;
-    if (isnan(most)) break;
-  }
-  return most;
+  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) shares[i] = x[i] / s->sizes[i];
+  return kpirl_mpc_norm_inf(shares, kpirl_mpc_system_n_point(s));
 }
 
 /* A jump of the Lagrangian L, whose gradients to the left, here and to the right do not see it: what is left of its changes
@@ -94,15 +90,14 @@ static real largest_share(const kpirl_mpc_system *s, const real *x) {
 static real value_jump(const kpirl_mpc_kkt *k, const real *L, const real *left, const real *here, const real *right,
                        const real *move) {
   const kpirl_mpc_system *s = &k->system;
-  const int n_s = s->n_states, n_x = n_s + s->n_actions;
-  real bend = 0, slope = 0, terms = kpirl_mpc_abs(L[1]), off;
-  int i;
-  for (i = 0; i < kpirl_mpc_system_n_point(s); ++i) {
-    bend += kpirl_mpc_abs((right[i] - left[i]) * move[i]);
-    slope += here[i] * move[i];
-  }
-  for (i = 0; i < s->horizon * n_s; ++i)
-    terms += kpirl_mpc_abs(k->point.costates[i] * s->sizes[(i / n_s + 1) * n_x + i % n_s]);
+  const int n_s = s->n_states, n_x = n_s + s->n_actions, n_w = kpirl_mpc_system_n_point(s);
+  const real slope = kpirl_mpc_dot(here, move, n_w);
+  real *bends = s->scratch, bend, terms = kpirl_mpc_abs(L[1]), off;
+  int i, t;
+  for (i = 0; i < n_w; ++i) bends[i] = (right[i] - left[i]) * move[i];
+  bend = kpirl_mpc_norm_1(bends, n_w);
+  for (t = 0; t < s->horizon; ++t)
+    terms += kpirl_mpc_absolute_dot(k->point.costates + t * n_s, s->sizes + (t + 1) * n_x, n_s);
   off = kpirl_mpc_worse(kpirl_mpc_abs(L[2] - L[1] - slope), kpirl_mpc_abs(L[1] - L[0] - slope)) - bend;
   return kpirl_mpc_over(kpirl_mpc_max(off, 0),
                         kpirl_mpc_worse(kpirl_mpc_worse(bend, kpirl_mpc_abs(slope)), KPIRL_MPC_FLOOR * terms));
@@ -189,13 +184,10 @@ static real kink(const kpirl_mpc_kkt *k, search *at) {
   const kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, n = kpirl_mpc_n_conditions(s);
   const real *move = at->move.x, whole = largest_share(s, move);
-  real worst = value_jump(k, at->lagrangian, at->left, at->here, at->right, move), own = 0;
+  real worst = value_jump(k, at->lagrangian, at->left, at->here, at->right, move), *own = s->scratch;
   int i;
-  for (i = 0; i < n_w; ++i) {
-    const real share = KPIRL_MPC_FLOOR * k->curvature[i] * move[i] * s->sizes[i];
-    own += share * share;
-  }
-  worst = kpirl_mpc_worse(worst, disagreement(at, 0, n_w, kpirl_mpc_sqrt(own), 1));
+  for (i = 0; i < n_w; ++i) own[i] = KPIRL_MPC_FLOOR * k->curvature[i] * move[i] * s->sizes[i];
+  worst = kpirl_mpc_worse(worst, disagreement(at, 0, n_w, kpirl_mpc_norm_2(own, n_w), 1));
   worst = kpirl_mpc_worse(worst, disagreement(at, n_w, n_c, whole, 0));
   return kpirl_mpc_worse(worst, disagreement(at, n_w + n_c, n - n_w - n_c, whole, 0));
 }

@@ -111,7 +111,7 @@ void kpirl_mpc_force_shares(const kpirl_mpc_system *s, const real *costates, con
   for (i = 0; i < n_w; ++i) balanced[i] = curvature[i] * s->sizes[i];
   for (t = 0; t < T; ++t) {
     absolute_rows(costates + t * n_s, n_s, 1, n_s, pulls);
-    absolute_rows(s->F + (size_t)t * n_s * n_x, n_s, n_x, n_s, absolute_F);
+    absolute_rows(s->F + (size_t)t * n_s * n_x, n_s * n_x, 1, n_s * n_x, absolute_F);
     kpirl_mpc_transposed_times_vector(absolute_F, n_s, n_x, pulls, balanced + t * n_x);
     kpirl_mpc_axpy(1, pulls, n_s, balanced + (t + 1) * n_x);
   }

@@ -135,11 +135,8 @@ void kpirl_mpc_factor_weighted(kpirl_mpc_system *s, const real *H, const real *w
 }
 
 real kpirl_mpc_decision_norm(const kpirl_mpc_system *s, const real *x) {
-  real sum = 0;
+  real *v = s->scratch;
   int i;
-  for (i = 0; i < s->n_decisions; ++i) {
-    const real v = s->roots[i] * x[s->decisions[i]];
-    sum += v * v;
-  }
-  return kpirl_mpc_sqrt(sum);
+  for (i = 0; i < s->n_decisions; ++i) v[i] = s->roots[i] * x[s->decisions[i]];
+  return kpirl_mpc_norm_2(v, s->n_decisions);
 }
