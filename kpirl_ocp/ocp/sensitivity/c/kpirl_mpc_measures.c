@@ -122,16 +122,13 @@ void kpirl_mpc_force_shares(const kpirl_mpc_system *s, const real *costates, con
 
 /* ---- of a point ------------------------------------------------------------------------------------------------ */
 
-/* Every entry of values (n_w) becomes the largest of its kind over the horizon. */
+/* Every entry of values (n_w), none negative, becomes the largest of its kind over the horizon. */
 static void largest_of_kind(int T, int n_s, int n_u, real *values) {
   const int n_x = n_s + n_u;
   int t, i;
-  for (i = 0; i < n_x; ++i) {
-    const int count = i < n_s ? T + 1 : T;
-    real most = 0;
-    for (t = 0; t < count; ++t) most = kpirl_mpc_max(values[t * n_x + i], most);
-    for (t = 0; t < count; ++t) values[t * n_x + i] = most;
-  }
+  for (t = 1; t <= T; ++t)
+    for (i = 0; i < (t < T ? n_x : n_s); ++i) values[i] = kpirl_mpc_max(values[t * n_x + i], values[i]);
+  for (t = 1; t <= T; ++t) memcpy(values + t * n_x, values, (size_t)(t < T ? n_x : n_s) * sizeof(real));
 }
 
 void kpirl_mpc_point_sizes(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows *rows, const real *x, real *sizes) {

@@ -47,15 +47,13 @@ static void residual_of(const kpirl_mpc_system *s, const kpirl_mpc_triple *right
 static void substitute(const kpirl_mpc_system *s, const kpirl_mpc_triple *residual, real *dx, real *dcostates, real *work) {
   const int n_w = kpirl_mpc_system_n_point(s), n_c = s->horizon * s->n_states, m = kpirl_mpc_system_n_rows(s);
   real *q = work, *pushes = q + n_w, *d = residual->costates;
-  int i, pushed = 0, open = 0;
+  int i;
   for (i = 0; i < m; ++i) pushes[i] = s->stiffness[i] * residual->forces[i];
-  for (i = 0; i < m; ++i) pushed |= pushes[i] != 0;
   memcpy(q, residual->x, (size_t)n_w * sizeof(real));
-  if (pushed) kpirl_mpc_rows_transposed_times(s, pushes, q);
+  if (kpirl_mpc_norm_inf(pushes, m) != 0) kpirl_mpc_rows_transposed_times(s, pushes, q);
   for (i = 0; i < n_w; ++i) q[i] = -q[i];
   for (i = 0; i < n_c; ++i) d[i] = -d[i];
-  for (i = 0; i < n_c; ++i) open |= d[i] != 0;
-  kpirl_mpc_system_substitute(s, q, open ? d : NULL, residual->start, dx, dcostates);
+  kpirl_mpc_system_substitute(s, q, kpirl_mpc_norm_inf(d, n_c) != 0 ? d : NULL, residual->start, dx, dcostates);
 }
 
 /* Its solution, and dmu = S (C dx - c): point += step. Returns |dx|. */
