@@ -71,29 +71,28 @@ void kpirl_mpc_factor_start(int n_s, int n_free, const int *free, const real *P_
   kpirl_mpc_inverse_root(scratch, n_free, factors->free_W, factors->free_pivots);
 }
 
-/* y (n) = -W' J v. work: n numbers. */
+/* y (n) += -W' J v. work: n numbers. */
 static void apply_root(const real *W, const real *pivots, int n, const real *v, real *work, real *y) {
   int i;
   for (i = 0; i < n; ++i) work[i] = -sign(pivots[i]) * v[i];
-  memset(y, 0, (size_t)n * sizeof(real));
   kpirl_mpc_transposed_times_vector(W, n, n, work, y);
 }
 
 int kpirl_mpc_substitute_scratch(int horizon, int n_s, int n_u) {
-  return (horizon + 1) * n_s + horizon * n_u + 3 * (n_s + n_u);
+  return horizon * (n_s + 2 * n_u) + n_s + 3 * (n_s + n_u);
 }
 
 /* The entries of s_0 that are not given: the minimum of 1/2 s' P_0 s + p_0' s in them. */
 static void start_free(int n_s, int n_free, const int *free, const kpirl_mpc_factors *factors, const real *p, real *work,
                        real *s) {
-  real *slope = work, *root = work + n_free, *change = work + 2 * n_free;
+  real *slope = work, *root = slope + n_free, *change = root + n_free;
   int i, j;
   for (i = 0; i < n_free; ++i) s[free[i]] = 0;
   for (i = 0; i < n_free; ++i) {
     slope[i] = p[free[i]];
     for (j = 0; j < n_s; ++j) slope[i] += factors->P[free[i] + j * n_s] * s[j];
   }
-  memset(root, 0, (size_t)n_free * sizeof(real));
+  memset(root, 0, (size_t)(2 * n_free) * sizeof(real));
   kpirl_mpc_times_vector(factors->free_W, n_free, n_free, slope, root);
   apply_root(factors->free_W, factors->free_pivots, n_free, root, slope, change);
   for (i = 0; i < n_free; ++i) s[free[i]] = change[i];
@@ -103,40 +102,36 @@ void kpirl_mpc_substitute(int horizon, int n_s, int n_u, int n_free, const int *
                           const kpirl_mpc_factors *factors, const real *q, const real *d, const real *start, real *scratch,
                           real *x, real *costates) {
   const int n_x = n_s + n_u;
-  const size_t square = (size_t)n_s * n_s;
-  real *p = scratch, *v = p + (horizon + 1) * n_s, *m = v + horizon * n_u, *work = m + n_x;
+  const size_t square = (size_t)n_s * n_s, n_w = (size_t)horizon * n_x + n_s, of_states = (size_t)n_s * sizeof(real);
+  real *m = scratch, *v = m + n_w, *work = v + horizon * n_u; /* m_s becomes p */
   int i, t;
-  memcpy(p + horizon * n_s, q + horizon * n_x, (size_t)n_s * sizeof(real));
+  memcpy(m, q, n_w * sizeof(real));
+  memset(v, 0, (size_t)(horizon * n_u) * sizeof(real));
   for (t = horizon - 1; t >= 0; --t) {
-    const real *F_t = F + (size_t)t * n_s * n_x, *Y = factors->Y + (size_t)t * n_u * n_s, *pivots = factors->pivots + t * n_u;
-    real *v_t = v + t * n_u, *p_t = p + t * n_s;
-    memcpy(work, p_t + n_s, (size_t)n_s * sizeof(real));
-    if (d) kpirl_mpc_times_vector(factors->P + (t + 1) * square, n_s, n_s, d + t * n_s, work);
-    memcpy(m, q + t * n_x, (size_t)n_x * sizeof(real));
-    kpirl_mpc_transposed_times_vector(F_t, n_s, n_x, work, m);
-    memcpy(p_t, m, (size_t)n_s * sizeof(real));
-    if (n_u == 0) continue;
-    memset(v_t, 0, (size_t)n_u * sizeof(real));
-    kpirl_mpc_times_vector(factors->W + (size_t)t * n_u * n_u, n_u, n_u, m + n_s, v_t);
-    for (i = 0; i < n_u; ++i) work[i] = -sign(pivots[i]) * v_t[i];
-    kpirl_mpc_transposed_times_vector(Y, n_u, n_s, work, p_t);
-  }
-  memcpy(x, start, (size_t)n_s * sizeof(real));
-  if (n_free > 0) start_free(n_s, n_free, free, factors, p, m, x);
-  for (t = 0; t < horizon; ++t) {
-    const real *F_t = F + (size_t)t * n_s * n_x, *Y = factors->Y + (size_t)t * n_u * n_s;
-    real *x_t = x + t * n_x, *next = x_t + n_x, *v_t = v + t * n_u;
-    if (n_u > 0) {
-      kpirl_mpc_times_vector(Y, n_u, n_s, x_t, v_t);
-      apply_root(factors->W + (size_t)t * n_u * n_u, factors->pivots + t * n_u, n_u, v_t, work, x_t + n_s);
+    const real *pivots = factors->pivots + t * n_u, *p = m + (t + 1) * n_x;
+    real *m_t = m + t * n_x, *v_t = v + t * n_u;
+    if (d) {
+      memcpy(work, p, of_states);
+      kpirl_mpc_times_vector(factors->P + (t + 1) * square, n_s, n_s, d + t * n_s, work);
+      p = work;
     }
-    if (d)
-      memcpy(next, d + t * n_s, (size_t)n_s * sizeof(real));
-    else
-      memset(next, 0, (size_t)n_s * sizeof(real));
-    kpirl_mpc_times_vector(F_t, n_s, n_x, x_t, next);
+    kpirl_mpc_transposed_times_vector(F + (size_t)t * n_s * n_x, n_s, n_x, p, m_t);
+    if (n_u == 0) continue;
+    kpirl_mpc_times_vector(factors->W + (size_t)t * n_u * n_u, n_u, n_u, m_t + n_s, v_t);
+    for (i = 0; i < n_u; ++i) work[i] = -sign(pivots[i]) * v_t[i];
+    kpirl_mpc_transposed_times_vector(factors->Y + (size_t)t * n_u * n_s, n_u, n_s, work, m_t);
+  }
+  memset(x, 0, n_w * sizeof(real));
+  memcpy(x, start, of_states);
+  if (n_free > 0) start_free(n_s, n_free, free, factors, m, work, x);
+  for (t = 0; t < horizon; ++t) {
+    real *x_t = x + t * n_x, *next = x_t + n_x, *v_t = v + t * n_u;
+    kpirl_mpc_times_vector(factors->Y + (size_t)t * n_u * n_s, n_u, n_s, x_t, v_t);
+    if (n_u > 0) apply_root(factors->W + (size_t)t * n_u * n_u, factors->pivots + t * n_u, n_u, v_t, work, x_t + n_s);
+    if (d) memcpy(next, d + t * n_s, of_states);
+    kpirl_mpc_times_vector(F + (size_t)t * n_s * n_x, n_s, n_x, x_t, next);
     if (!costates) continue;
-    memcpy(costates + t * n_s, p + (t + 1) * n_s, (size_t)n_s * sizeof(real));
+    memcpy(costates + t * n_s, m + (t + 1) * n_x, of_states);
     kpirl_mpc_times_vector(factors->P + (t + 1) * square, n_s, n_s, next, costates + t * n_s);
   }
 }
@@ -144,5 +139,6 @@ void kpirl_mpc_substitute(int horizon, int n_s, int n_u, int n_free, const int *
 void kpirl_mpc_gain(int n_s, int n_u, const kpirl_mpc_factors *factors, int t, real *scratch, real *K) {
   const real *W = factors->W + (size_t)t * n_u * n_u, *Y = factors->Y + (size_t)t * n_u * n_s;
   int j;
+  memset(K, 0, (size_t)n_u * n_s * sizeof(real));
   for (j = 0; j < n_s; ++j) apply_root(W, factors->pivots + t * n_u, n_u, Y + j * n_u, scratch, K + j * n_u);
 }
