@@ -65,6 +65,7 @@ static real correct(const kpirl_mpc_system *s, const kpirl_mpc_triple *residual,
   size = kpirl_mpc_decision_norm(s, dx);
   for (i = 0; i < n_w; ++i) point->x[i] += dx[i];
   for (i = 0; i < n_c; ++i) point->costates[i] += dcostates[i];
+  if (kpirl_mpc_norm_inf(s->stiffness, m) == 0) return size;
   kpirl_mpc_rows_times(s, dx, change);
   for (i = 0; i < m; ++i) point->forces[i] += s->stiffness[i] * (change[i] - forces[i]);
   return size;
