@@ -143,10 +143,10 @@ void kpirl_mpc_point_sizes(const kpirl_mpc_dimensions *of, const kpirl_mpc_rows 
 void kpirl_mpc_find_roots(kpirl_mpc_kkt *k) {
   kpirl_mpc_system *s = &k->system;
   const int n_w = kpirl_mpc_system_n_point(s);
-  real *energy = s->scratch, most = 0; /* in the unit of the cost */
+  real *energy = s->scratch, most; /* in the unit of the cost */
   int i;
   for (i = 0; i < n_w; ++i) energy[i] = k->curvature[i] * s->sizes[i] * s->sizes[i];
-  for (i = 0; i < n_w; ++i) most = kpirl_mpc_max(energy[i], most);
+  most = kpirl_mpc_norm_inf(energy, n_w);
   largest_of_kind(s->horizon, s->n_states, s->n_actions, energy);
   for (i = 0; i < s->n_decisions; ++i) {
     const real own = energy[s->decisions[i]], used = own > LEAST * most ? own : most > 0 ? most : 1;
