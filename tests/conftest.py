@@ -6,6 +6,7 @@ import gc
 import os
 import re
 import signal
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,32 @@ import kpirl_ocp
 
 os.environ["PYTHONPATH"] = str(Path(kpirl_ocp.__file__).parents[1])
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="module")
+def virtual_machine():
+    """Gradient steps and their gradients are evaluated by CasADi's virtual machine.
+
+    Where problems are small and many, compiling them would take most of the time; that machine code gives the same is
+    what `test_compiler.py` and `test_network_planning.py` say.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("kpirl_ocp.ocp.solvers.gradient_descent.compiled", lambda function: function)
+        patch.setattr("kpirl_ocp.irl.hypergradients.unrolled.compile_all", list)
+        forget_gradient_steps()
+        yield
+    forget_gradient_steps()
+
+
+def forget_gradient_steps():
+    """What tests of one kind have built is not for those of the other."""
+    for name, functions in (
+        ("kpirl_ocp.ocp.solvers.gradient_descent", ["_descent"]),
+        ("kpirl_ocp.irl.hypergradients.unrolled", ["_compiled", "_losses_alone"]),
+    ):
+        for function in functions:
+            getattr(import_module(name), function).cache_clear()
+    vars(import_module("kpirl_ocp.ocp.codegen.numpy_calls")._thread).clear()
 
 
 def pytest_collection_modifyitems(items):

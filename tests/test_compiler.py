@@ -13,9 +13,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from problems import pendulum
+from problems import iiwa, integrator, lqr, network, pendulum, unconstrained
 
-from kpirl_ocp import OCP, GradientDescent, Riccati, Status
+from kpirl_ocp import OCP, GradientDescent, Riccati, Status, Unrolled
 from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.codegen import library_cache
@@ -288,6 +288,45 @@ def test_gradient_descent_gives_the_same_solution_without_a_compiler(cache, hide
     with pytest.warns(RuntimeWarning, match="virtual machine"):
         slow = solver.solve(other, case.demonstration.s0, case.psi)
     np.testing.assert_allclose(fast.actions, slow.actions, rtol=0, atol=1e-14)
+
+
+def bounded_pendulum():
+    case = pendulum()
+    return replace(case, problem=replace(case.problem, action_bounds=(-0.2, 0.2)))
+
+
+STEPS = {  # problem; steps, of which more than 32 are taken in segments; whether they are taken again; demonstrations
+    "scalar LQR": (lqr, 40, True, 1),
+    "pendulum with bounds": (bounded_pendulum, 5, False, 1),
+    "integrator": (lambda: unconstrained(integrator()), 40, False, 2),
+    "iiwa": (lambda: unconstrained(iiwa()), 3, False, 1),
+    "tanh network": (lambda: unconstrained(network("tanh")), 3, True, 2),
+}
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", STEPS)
+def test_gradients_of_gradient_steps_are_the_same_without_a_compiler(name, cache, hide_compiler):
+    build, steps, checkpoint, count = STEPS[name]
+    case = build()
+    problem, seen = case.problem, case.demonstration
+    solver = GradientDescent(steps, 0.01, project=problem.has_action_bounds)
+    method = Unrolled(solver, policy="flag", checkpoint=checkpoint)
+    one, other = replace(problem), replace(problem)  # nothing built for them yet
+    fast = method.batch(one, [seen] * count, case.psi)
+    fast_plan = solver.solve(one, seen.s0, case.psi, seen.context)
+    libraries = {path.name.partition("-")[0] for path in cache.glob("*.so")}
+    assert libraries >= {"unrolled", "descent"}
+    assert "losses" not in libraries  # of the steps to both sides of psi, which are compiled with the gradient
+    hide_compiler()
+    with pytest.warns(RuntimeWarning, match="virtual machine"):
+        slow = method(other, seen, case.psi)
+    slow_plan = solver.solve(other, seen.s0, case.psi, seen.context)
+    for found in fast:
+        assert found.certificate.certified == slow.certificate.certified
+        assert found.loss == pytest.approx(slow.loss, rel=1e-12)
+        np.testing.assert_allclose(found.gradient, slow.gradient, rtol=0, atol=1e-12 * np.abs(slow.gradient).max())
+    np.testing.assert_allclose(fast_plan.actions, slow_plan.actions, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("value", [None, ""])

@@ -35,17 +35,10 @@ from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 from kpirl_ocp.ocp.models.mlp import MLP
 from kpirl_ocp.ocp.problem.reduced_cost import ReducedCost
 from kpirl_ocp.ocp.problem.trajectory_passes import StagePasses
-from kpirl_ocp.ocp.solvers import gradient_descent
 
 HORIZON, STEPS = 5, 4
 KERNELS = RBF(3)
-
-
-@pytest.fixture(autouse=True)
-def virtual_machine(monkeypatch):
-    """These problems are small and many: compiling them would take most of the time."""
-    for module in (gradient_descent, unrolled):
-        monkeypatch.setattr(module, "compiled", lambda function: function)
+pytestmark = pytest.mark.usefixtures("virtual_machine")
 
 
 def dynamics(activation="tanh", residual=True, seed=0):
@@ -161,7 +154,7 @@ def test_compiled_gradient_is_that_of_the_virtual_machine(activation, monkeypatc
     slow = network_problem(activation)
     (demonstration,), psi, method = demonstrations(slow), psi_of(slow), Unrolled(GradientDescent(STEPS, 0.02))
     expected = method(slow, demonstration, psi)
-    monkeypatch.setattr(unrolled, "compiled", native.compiled)
+    monkeypatch.setattr(unrolled, "compile_all", native.compile_all)
     found = method(replace(slow), demonstration, psi)
     assert found.loss == pytest.approx(expected.loss, rel=1e-13)
     assert error(found.gradient, expected.gradient) <= 1e-12

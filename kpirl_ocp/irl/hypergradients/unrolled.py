@@ -11,10 +11,10 @@ implicit gradient (Shaban et al., Truncated Back-propagation for Bilevel Optimiz
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import NamedTuple
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -27,9 +27,9 @@ from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.irl.hypergradients.own_passes import passes_agree
 from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
-from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descent, direction, side_by_side
-from kpirl_ocp.ocp.codegen.compiler import compiled
-from kpirl_ocp.ocp.codegen.numpy_calls import call_built
+from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descent, direction, losses_function, side_by_side
+from kpirl_ocp.ocp.codegen.compiler import compile_all
+from kpirl_ocp.ocp.codegen.numpy_calls import Call, call_built
 from kpirl_ocp.ocp.conditions.steepness import nearly_constant_in_psi
 from kpirl_ocp.ocp.problem.layout import by_stage
 from kpirl_ocp.ocp.problem.linearised_dynamics import depends_on_psi
@@ -180,14 +180,17 @@ def unrolled_gradients(
     ]
     wrong = () if passes_agree(problem, len(descents)) else (WRONG_DERIVATIVES,)
     outputs = _outputs(descents, last, checkpoint)
-    return [_certified(descent, last, output, wrong) for descent, output in zip(descents, outputs, strict=True)]
+    losses = partial(call_built, _losses, problem, solver, loss, last, checkpoint, len(descents))
+    return [_certified(descent, last, output, wrong, losses) for descent, output in zip(descents, outputs, strict=True)]
 
 
-def _certified(descent: Descent, last: int, output: Array, wrong: tuple[str, ...]) -> HypergradientResult:
+def _certified(
+    descent: Descent, last: int, output: Array, wrong: tuple[str, ...], losses: Callable[[], Call]
+) -> HypergradientResult:
     """The result of one descent, which is taken again beside psi where that could show a kink.
 
     Quadratic costs whose coefficients hardly change near psi have no kink in psi; constraints there are none.
-    wrong: failures that are known already.
+    wrong: failures that are known already. losses: for `Descent.kink`.
     """
     problem, sweep = descent.problem, _sweep(descent, last, output)
     solution = sweep.certificate.solution
@@ -198,7 +201,7 @@ def _certified(descent: Descent, last: int, output: Array, wrong: tuple[str, ...
     if nonfinite_failures(sweep.loss, sweep.gradient):
         return sweep.result(math.nan, wrong)  # no slopes to compare
     at = LossAt(problem, descent.loss, descent.observed.T, by_stage(solution.states, solution.actions))
-    kink = descent.kink(sweep.loss, sweep.gradient, sweep.terms(at))
+    kink = descent.kink(losses(), sweep.loss, sweep.gradient, sweep.terms(at))
     by_psi = [] if gentle and not depends_on_psi(problem.transition) else parameter_kinks(problem, solution)
     return sweep.result(kink, (*wrong, *at.kinks(), *by_psi))
 
@@ -290,8 +293,27 @@ def _failures(
     return failures
 
 
+def _function(*what: Any) -> ca.Function:
+    return _compiled(*what)[0]
+
+
+def _losses(problem: OCP, solver: GradientDescent, loss: Loss, *rest: Any) -> ca.Function:
+    """`losses_function` for the steps to both sides."""
+    together = _compiled(problem, solver, loss, *rest)
+    return together[-1] if len(together) > 1 else _losses_alone(problem, solver, loss)
+
+
 @lru_cache(maxsize=64)
-def _function(
+def _compiled(
     problem: OCP, solver: GradientDescent, loss: Loss, last: int, checkpoint: bool, columns: int
-) -> ca.Function:
-    return compiled(unrolled_function(problem, solver, loss, last, checkpoint, columns))
+) -> list[ca.Function]:
+    """`unrolled_function`; and that of `_losses`, with which it has much code in common, if every gradient needs it."""
+    functions = [unrolled_function(problem, solver, loss, last, checkpoint, columns)]
+    if not (has_quadratic_costs(problem, loss) and has_affine_dynamics(problem, problem.derivatives is not None)):
+        functions.append(losses_function(problem, solver, loss, columns=2))
+    return compile_all(functions)
+
+
+@lru_cache(maxsize=64)
+def _losses_alone(problem: OCP, solver: GradientDescent, loss: Loss) -> ca.Function:
+    return compile_all([losses_function(problem, solver, loss, columns=2)])[0]

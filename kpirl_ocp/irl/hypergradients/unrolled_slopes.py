@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kpirl_ocp.irl.hypergradients.loss import Loss, data_of
-from kpirl_ocp.ocp.codegen.compiler import compiled
-from kpirl_ocp.ocp.codegen.numpy_calls import call_built
+from kpirl_ocp.ocp.codegen.numpy_calls import Call
 from kpirl_ocp.ocp.problem.columns import regroup, repeat
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.problem.reduced_cost import ReducedCost, reduced_symbols
@@ -67,10 +66,11 @@ class Descent:
         return cls(problem, solver, loss, numbers, guess_actions(problem, guess), start, context, observed)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def kink(self, loss: float, gradient: Array, terms: float) -> float:
+    def kink(self, losses: Call, loss: float, gradient: Array, terms: float) -> float:
         """The largest relative difference between gradient and one-sided slopes that curvature does not explain.
 
         Args:
+            losses: `losses_function` for two descents.
             loss: at psi.
             gradient: (n_psi,).
             terms: the size of the terms of the loss, times the amplification of rounding by the steps.
@@ -78,19 +78,18 @@ class Descent:
         move = direction(self.psi)
         noise = _ROUNDING * terms / STEP
         expected, total = gradient @ move, np.abs(gradient * move).sum()
-        far = self._slopes(move, STEP, loss)
+        far = self._slopes(losses, move, STEP, loss)
         kink = _ratio(np.abs(far - expected).max(), np.max([total, noise, *np.abs(far)]))
         if not kink > KINK:
             return kink
-        near = self._slopes(move, _CLOSER * STEP, loss)
+        near = self._slopes(losses, move, _CLOSER * STEP, loss)
         left = np.abs(near - expected - _CLOSER * (far - expected)).max() / (1 - _CLOSER)
         return _ratio(left, np.max([total, noise / _CLOSER, *np.abs(far), *np.abs(near)]))
 
-    def _slopes(self, move: Array, length: float, loss: float) -> Array:
+    def _slopes(self, losses: Call, move: Array, length: float, loss: float) -> Array:
         """Forward and backward difference quotient."""
         sides = [replace(self, psi=self.psi + sign * length * move) for sign in (1.0, -1.0)]
-        evaluate = call_built(_losses, self.problem, self.solver, self.loss, len(sides))
-        (shifted,) = evaluate(*side_by_side(sides))
+        (shifted,) = losses(*side_by_side(sides))
         return np.array([1.0, -1.0]) * (shifted - loss) / length
 
 
@@ -121,8 +120,7 @@ def _ratio(part: float, whole: float) -> float:
     return 0.0 if part == 0 and whole == 0 else math.inf
 
 
-@lru_cache(maxsize=64)
-def _losses(problem: OCP, solver: GradientDescent, loss: Loss, columns: int) -> ca.Function:
+def losses_function(problem: OCP, solver: GradientDescent, loss: Loss, columns: int) -> ca.Function:
     """(U_0, s0, psi, c, Z) -> the losses (1, B) after all steps; shapes as in `unrolled_function`."""
     reduced, (u, s0, psi, context) = ReducedCost(problem, columns), reduced_symbols(problem, columns)
     function = loss(problem)
@@ -133,4 +131,4 @@ def _losses(problem: OCP, solver: GradientDescent, loss: Loss, columns: int) -> 
     rollout = reduced.passes.rollout(s0, final, psi)
     states, actions = regroup(rollout.states, columns), regroup(final, columns)
     value = function.map(columns)(states, actions, observed)
-    return compiled(ca.Function("losses", [u, s0, psi, context, observed], [ca.densify(value)]))
+    return ca.Function("losses", [u, s0, psi, context, observed], [ca.densify(value)])
