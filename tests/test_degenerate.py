@@ -27,6 +27,8 @@ from kpirl_ocp import (
 from kpirl_ocp.errors import CertificateError
 from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 FOLD = 2 / (3 * np.sqrt(3))  # tilt at which the right well of (u^2 - 1)^2 / 4 + p u disappears, at u = 1 / sqrt(3)
 
 Expression = Callable[[ca.SX, ca.SX], ca.SX]

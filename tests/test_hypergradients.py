@@ -37,6 +37,8 @@ from kpirl_ocp import (
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 TIGHT = Ipopt(tolerance=1e-12)
 METHODS = {
     "implicit": lambda case: Implicit(),

@@ -20,6 +20,8 @@ from kpirl_ocp.irl.identifiability.gains import squared_gains, stiffness
 from kpirl_ocp.irl.identifiability.identify import estimate_noise, identify
 from kpirl_ocp.irl.identifiability.plan_jacobian import plan_jacobian
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 Q, R, START, GOAL = 2.0, 0.5, 1.0, 4.0
 
 

@@ -11,6 +11,8 @@ from kpirl_ocp.ocp.conditions.polynomials import is_quadratic
 from kpirl_ocp.ocp.conditions.structure import own_derivatives_agree, quadratic_program
 from kpirl_ocp.ocp.problem import DynamicsDerivatives
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 S, U, P = ca.SX.sym("s"), ca.SX.sym("u"), ca.SX.sym("p")
 PLAIN = {"state": S, "action": U, "parameters": P, "dynamics": S + U, "horizon": 2}
 

@@ -14,6 +14,8 @@ from kpirl_ocp.irl.learning.optimisers import LBFGS, Adam, Box, Descent, Point
 from kpirl_ocp.ocp.models import RBF, KeypointCost, Robot, TimeDependent, Weighted, keypoint_ocp
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 CURVATURES = np.array([1.0, 10.0, 100.0])
 
 

@@ -25,6 +25,8 @@ from kpirl_ocp.irl.hypergradients import ActionDistance, FiniteDifference, KeyFr
 from kpirl_ocp.irl.learning import Learner
 from kpirl_ocp.irl.learning.optimisers import Box, Point
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 DT = 0.2
 
 

@@ -14,6 +14,8 @@ from kpirl_ocp.ocp.models.keypoint_passes import NetworkPasses
 from kpirl_ocp.ocp.models.mlp import MLP
 from kpirl_ocp.ocp.problem import DynamicsDerivatives
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 CURVED = ("elu", "sigmoid", "silu", "softplus", "tanh")
 
 

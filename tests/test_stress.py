@@ -32,6 +32,8 @@ from kpirl_ocp.errors import CertificateError
 from kpirl_ocp.ocp.codegen import compiler as native
 from kpirl_ocp.ocp.conditions.audit import audit
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 QUICK = PROFILES["quick"]
 
 

@@ -32,6 +32,8 @@ from kpirl_ocp.ocp.models.keypoint_problems import network_ocp
 from kpirl_ocp.ocp.models.mlp import MLP
 from kpirl_ocp.types import Demonstration, Sight
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 T, K, N_Q = 6, 2, 3
 # Keypoints move by A u: the first joint moves both along x, the second along y, the third turns them.
 A = np.array([[0.5, 0.0, 0.1], [0.0, 0.4, 0.1], [0.5, 0.0, -0.1], [0.0, 0.4, -0.1]])

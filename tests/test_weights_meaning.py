@@ -21,6 +21,8 @@ from kpirl_ocp.irl.visual.learning import COSTS, InnerLoop, learn_implicit, lear
 from kpirl_ocp.ocp.models import MLP, RBF, KeypointCost, NetworkDynamics
 from kpirl_ocp.types import Demonstration
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 T, K, N_Q = 10, 2, 3
 A = np.array([[0.5, 0.0, 0.1], [0.0, 0.4, 0.1], [0.5, 0.0, -0.1], [0.0, 0.4, -0.1]])
 INNER = InnerLoop(1, 2e-2)
