@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from exported import STRICT, folder
+from exported import PLAIN, folder
 from problems import TABLE
 
 from kpirl_ocp import OCP, SQP, GradientDescent, Riccati, Soft, Status, Trajectory
@@ -33,7 +33,7 @@ def steered(successor):
 def loaded(solver=Riccati()):  # noqa: B008
     out, case = folder("integrator", solver)
     seen = case.demonstration
-    return ExportedSolver(out, STRICT), case.problem, (seen.s0, case.psi, seen.context)
+    return ExportedSolver(out, PLAIN), case.problem, (seen.s0, case.psi, seen.context)
 
 
 def test_the_page_of_a_folder_says_which_states_and_actions_are_not_the_users(tmp_path):
@@ -91,7 +91,7 @@ def test_look_up_tables_are_exported_whole(kind, solver, tmp_path):
     x = np.linspace(-3, 3, 25)
     table = ca.interpolant("table", kind, [x], np.sin(x) + 0.1 * x)
     problem = steered(ca.vertcat(S[0] + 0.1 * S[1], S[1] + 0.1 * (U - table(S[0]))))
-    ours = ExportedSolver(export_c(problem, solver, tmp_path), STRICT).solve(problem, START)
+    ours = ExportedSolver(export_c(problem, solver, tmp_path), PLAIN).solve(problem, START)
     reference = solver.solve(problem, START)
     assert ours.status is reference.status
     np.testing.assert_allclose(ours.actions, reference.actions, rtol=0, atol=1e-13)
@@ -154,7 +154,7 @@ def test_an_earlier_export_is_removed_and_nothing_else(tmp_path):
     assert (tmp_path / "notes.txt").read_text() == "mine"
     start = np.ones(problem.n_states)
     arguments = (problem, start, np.ones(problem.n_parameters), np.zeros(problem.n_context))
-    found = ExportedSolver(tmp_path, STRICT).solve(*arguments)
+    found = ExportedSolver(tmp_path, PLAIN).solve(*arguments)
     np.testing.assert_allclose(found.actions, second.solve(*arguments).actions, rtol=0, atol=1e-12)
 
 
@@ -172,7 +172,7 @@ def test_files_that_do_not_belong_to_the_export_are_not_compiled(tmp_path):
     problem = TABLE["lqr"]().problem
     out = export_c(problem, Riccati(), tmp_path)
     (out / "stranger.c").write_text("#error stranger\n")
-    assert ExportedSolver(out, STRICT).size > 0
+    assert ExportedSolver(out, PLAIN).size > 0
 
 
 @pytest.mark.parametrize("prefix", ["int", "sin", "class", "gamma", "y0", "mpc", "core", "solution", "casadi_real"])
