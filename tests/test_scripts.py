@@ -51,9 +51,9 @@ TESTED_ELSEWHERE = PARTS_OF_THE_PAGES | {
 }
 
 
-def call(script, *arguments):
+def call(script, *arguments, env=None):
     command = [sys.executable, str(ROOT / "scripts" / script), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, env=env)
 
 
 @pytest.fixture(scope="module")
@@ -325,11 +325,12 @@ def test_ctrl_c_keeps_what_was_done_and_says_where(words, tmp_path):
     assert yaml.safe_load((tmp_path / "config.yaml").read_text())["command"] == words.split()[0]
 
 
-def interrupted(words, sign, out):
+def interrupted(words, sign, out, env=None):
     """Exit code and last line of a script that gets Ctrl-C when `sign` is seen in its output."""
     script, *arguments = words.split()
     command = [sys.executable, "-u", str(ROOT / "scripts" / script), *arguments, "--out", str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    process = subprocess.Popen(command, **pipes, start_new_session=True, env=env)
     seen = b""
     while not re.search(sign.encode(), seen):
         seen += os.read(process.stdout.fileno(), 4096)
@@ -340,12 +341,14 @@ def interrupted(words, sign, out):
 
 
 def test_an_interrupted_study_goes_on_where_it_was(tmp_path):
-    words = "simulation_study.py --tasks placing --seeds 0 1 --iterations 2 --tests 1 --jobs 1"
-    code, last = interrupted(words, r"1/2", tmp_path)
+    """Without a C compiler: its problems take longer to compile than to solve."""
+    words, env = "simulation_study.py --tasks placing --seeds 0 1 --iterations 2 --tests 1 --jobs 1", {"PATH": ""}
+    code, last = interrupted(words, r"1/2", tmp_path, os.environ | env)
     assert (code, last) == (130, f"interrupted: finished cases are in {tmp_path}; the same command resumes.")
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")}
     assert len(kept) == 1
-    again = call("simulation_study.py", "--config", str(tmp_path / "config.yaml"), "--out", str(tmp_path))
+    words = ["--config", str(tmp_path / "config.yaml"), "--out", str(tmp_path)]
+    again = call("simulation_study.py", *words, env=os.environ | env)
     assert again.returncode == 0, again.stderr
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert len(list(tmp_path.rglob("*.npz"))) == 2

@@ -50,7 +50,7 @@ class Preset:
 PRESETS: Mapping[str, Preset] = {
     "tiny": Preset(
         demonstrations=(1, 2),
-        tests=2,
+        tests=1,
         validation=2,
         inner_loops=(InnerLoop(1, 3e-4), InnerLoop(5, 3e-4)),
         reaching_iterations=5,

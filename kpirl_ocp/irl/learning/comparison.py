@@ -157,7 +157,7 @@ def _memory(field: str) -> int:
     return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(field))
 
 
-def median_seconds(call: Callable[[], object], budget: float = 1.0, most: int = 200) -> float:
+def median_seconds(call: Callable[[], object], budget: float = 0.5, most: int = 200) -> float:
     """Median CPU time of a call, repeated within a time budget [s] after one call to warm up.
 
     Other work on the machine counts less in it than in wall time.

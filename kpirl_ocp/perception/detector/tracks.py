@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from tqdm import tqdm
@@ -12,7 +13,9 @@ from kpirl_ocp.perception.data.recordings import read_arm_film
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.detector.keypoints import to_pixels
 from kpirl_ocp.perception.tracking.tracks import Tracks
-from kpirl_ocp.perception.tracking.watch import Film
+
+if TYPE_CHECKING:
+    from kpirl_ocp.perception.tracking.watch import Film
 
 
 def recorded_sizes(directory: Path) -> list[tuple[int, int]]:
