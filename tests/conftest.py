@@ -6,6 +6,7 @@ import gc
 import os
 import re
 import signal
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -26,7 +27,7 @@ def virtual_machine():
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("kpirl_ocp.ocp.solvers.gradient_descent.compiled", lambda function: function)
-        patch.setattr("kpirl_ocp.irl.hypergradients.unrolled.compile_all", list)
+        patch.setattr("kpirl_ocp.irl.hypergradients.unrolled_code.compile_all", list)
         forget_gradient_steps()
         yield
     forget_gradient_steps()
@@ -36,11 +37,18 @@ def forget_gradient_steps():
     """What tests of one kind have built is not for those of the other."""
     for name, functions in (
         ("kpirl_ocp.ocp.solvers.gradient_descent", ["_descent"]),
-        ("kpirl_ocp.irl.hypergradients.unrolled", ["_compiled", "_losses_alone"]),
+        ("kpirl_ocp.irl.hypergradients.unrolled_code", ["_together", "_losses_alone"]),
     ):
         for function in functions:
             getattr(import_module(name), function).cache_clear()
     vars(import_module("kpirl_ocp.ocp.codegen.numpy_calls")._thread).clear()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup():
+    """One thread of torch, which a command of an earlier test may have set to two: they wait for each other, busily."""
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(1)
 
 
 def pytest_collection_modifyitems(items):

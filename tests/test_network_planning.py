@@ -23,7 +23,7 @@ from kpirl_ocp import (
     learn,
 )
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.irl.hypergradients import unrolled
+from kpirl_ocp.irl.hypergradients import unrolled_code
 from kpirl_ocp.irl.hypergradients.loss import squared_distance
 from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
 from kpirl_ocp.irl.learning.learn import Learner
@@ -154,7 +154,7 @@ def test_compiled_gradient_is_that_of_the_virtual_machine(activation, monkeypatc
     slow = network_problem(activation)
     (demonstration,), psi, method = demonstrations(slow), psi_of(slow), Unrolled(GradientDescent(STEPS, 0.02))
     expected = method(slow, demonstration, psi)
-    monkeypatch.setattr(unrolled, "compile_all", native.compile_all)
+    monkeypatch.setattr(unrolled_code, "compile_all", native.compile_all)
     found = method(replace(slow), demonstration, psi)
     assert found.loss == pytest.approx(expected.loss, rel=1e-13)
     assert error(found.gradient, expected.gradient) <= 1e-12

@@ -13,10 +13,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -26,9 +25,8 @@ from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult, enforc
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.irl.hypergradients.own_passes import passes_agree
 from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
-from kpirl_ocp.irl.hypergradients.unrolled_graph import unrolled_function
-from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descent, direction, losses_function, side_by_side
-from kpirl_ocp.ocp.codegen.compiler import compile_all
+from kpirl_ocp.irl.hypergradients.unrolled_code import gradient_code, losses_code
+from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descent, direction, side_by_side
 from kpirl_ocp.ocp.codegen.numpy_calls import Call, call_built
 from kpirl_ocp.ocp.conditions.steepness import nearly_constant_in_psi
 from kpirl_ocp.ocp.problem.layout import by_stage
@@ -180,7 +178,7 @@ def unrolled_gradients(
     ]
     wrong = () if passes_agree(problem, len(descents)) else (WRONG_DERIVATIVES,)
     outputs = _outputs(descents, last, checkpoint)
-    losses = partial(call_built, _losses, problem, solver, loss, last, checkpoint, len(descents))
+    losses = partial(call_built, losses_code, problem, solver, loss, last, checkpoint, len(descents))
     return [_certified(descent, last, output, wrong, losses) for descent, output in zip(descents, outputs, strict=True)]
 
 
@@ -216,7 +214,7 @@ def gradient_alone(method: Unrolled, problem: OCP, demonstration: Demonstration,
 def _outputs(descents: Sequence[Descent], last: int, checkpoint: bool) -> Array:
     """Outputs of `unrolled_function`, a row for each of the B descents."""
     first, count = descents[0], len(descents)
-    evaluate = call_built(_function, first.problem, first.solver, first.loss, last, checkpoint, count)
+    evaluate = call_built(gradient_code, first.problem, first.solver, first.loss, last, checkpoint, count)
     (outputs,) = evaluate(*side_by_side(descents))
     return outputs.reshape(count, -1)
 
@@ -291,29 +289,3 @@ def _failures(
     if not kink > _KINK:
         failures.append("An iterate touches an action bound with zero force: the projection has no derivative there.")
     return failures
-
-
-def _function(*what: Any) -> ca.Function:
-    return _compiled(*what)[0]
-
-
-def _losses(problem: OCP, solver: GradientDescent, loss: Loss, *rest: Any) -> ca.Function:
-    """`losses_function` for the steps to both sides."""
-    together = _compiled(problem, solver, loss, *rest)
-    return together[-1] if len(together) > 1 else _losses_alone(problem, solver, loss)
-
-
-@lru_cache(maxsize=64)
-def _compiled(
-    problem: OCP, solver: GradientDescent, loss: Loss, last: int, checkpoint: bool, columns: int
-) -> list[ca.Function]:
-    """`unrolled_function`; and that of `_losses`, with which it has much code in common, if every gradient needs it."""
-    functions = [unrolled_function(problem, solver, loss, last, checkpoint, columns)]
-    if not (has_quadratic_costs(problem, loss) and has_affine_dynamics(problem, problem.derivatives is not None)):
-        functions.append(losses_function(problem, solver, loss, columns=2))
-    return compile_all(functions)
-
-
-@lru_cache(maxsize=64)
-def _losses_alone(problem: OCP, solver: GradientDescent, loss: Loss) -> ca.Function:
-    return compile_all([losses_function(problem, solver, loss, columns=2)])[0]
