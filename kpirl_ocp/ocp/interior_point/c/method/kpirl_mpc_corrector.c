@@ -100,7 +100,7 @@ static void correct_centrality(kpirl_mpc_core *core) {
     recentre(core, before);
     kpirl_mpc_step_to_target(core, &core->first.change);
     after = to_the_boundary(core, &core->first.change);
-    if (!gains(before, after)) return;
+    if (!gains(before, after) || !kpirl_mpc_all_finite(core->first.change.x, kpirl_mpc_n_point(core))) return;
     core->step.change = core->first.change;
     core->first.change = change;
     before = after;
