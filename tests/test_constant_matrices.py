@@ -10,6 +10,7 @@ from kpirl_ocp import OCP, Riccati, Status
 from kpirl_ocp.ocp.interior_point import core as cores
 from kpirl_ocp.ocp.interior_point import library as c
 from kpirl_ocp.ocp.interior_point.core import Core
+from kpirl_ocp.ocp.problem.solver import StageDerivatives
 
 HORIZON = 6
 EVALUATE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
@@ -44,9 +45,18 @@ def solved(core, psi):
     return solution
 
 
+@pytest.fixture(params=["tapes", "virtual machine"])
+def taped(request, monkeypatch):
+    """Whether the core calls functions of the whole horizon, or those of a stage and of the end."""
+    if request.param != "tapes":
+        monkeypatch.setattr(cores, "read_tapes", lambda problem: None)
+    return request.param == "tapes"
+
+
 def counted(core):
-    """The core's functions of second derivatives, of a stage and of the end, with counts of their calls."""
-    model, counts, kept = core._model, {"stage": 0, "last": 0}, []
+    """The core's functions of second derivatives, with counts of their calls."""
+    model, kept = core._model, []
+    counts = {"stage": 0, "last": 0} if model.by_stage else {"horizon": 0}
     for name in counts:
         functions = getattr(model, name)
         own, self = EVALUATE(functions[2].evaluate), functions[2].self
@@ -61,22 +71,27 @@ def counted(core):
     return counts, kept
 
 
-def test_matrices_of_a_quadratic_program_are_evaluated_once_in_a_solve():
+def calls(taped, times):
+    """What `counted` shows after matrices have been evaluated so many times."""
+    return {"horizon": times} if taped else {"stage": times * HORIZON, "last": times}
+
+
+def test_matrices_of_a_quadratic_program_are_evaluated_once_in_a_solve(taped):
     core = Core(statement())
     counts, _kept = counted(core)
     for solves in (1, 2, 3):
         solution = solved(core, [0.2, 0.5 * solves])
         assert solution.status is Status.CONVERGED
         assert solution.iterations > 2
-        assert counts == {"stage": solves * HORIZON, "last": solves}
+        assert counts == calls(taped, solves)
 
 
-def test_matrices_of_curved_dynamics_are_evaluated_at_every_iterate():
+def test_matrices_of_curved_dynamics_are_evaluated_at_every_iterate(taped):
     core = Core(statement(bend=0.1))
     counts, _kept = counted(core)
     solution = solved(core, [0.2, 0.5])
     assert solution.status is Status.CONVERGED
-    assert counts == {"stage": (solution.iterations + 1) * HORIZON, "last": solution.iterations + 1}
+    assert counts == calls(taped, solution.iterations + 1)
 
 
 @pytest.mark.parametrize("barrier", [0.0, 1e-2])
@@ -93,9 +108,9 @@ def test_plan_multipliers_and_derivatives_are_those_of_matrices_evaluated_at_eve
             own.append(derivatives)
         found.append(own)
     for known, expected in zip(*found, strict=True):
-        names = ("F", "G", "E", "H", "gradient") if hasattr(known, "F") else ("states", "actions")
+        names = ("numbers",) if isinstance(known, StageDerivatives) else ("states", "actions")
         for name in names:
             np.testing.assert_array_equal(getattr(known, name), getattr(expected, name))
-        if not hasattr(known, "F"):
+        if not isinstance(known, StageDerivatives):
             np.testing.assert_array_equal(known.multipliers.dynamics, expected.multipliers.dynamics)
             np.testing.assert_array_equal(known.multipliers.path, expected.multipliers.path)

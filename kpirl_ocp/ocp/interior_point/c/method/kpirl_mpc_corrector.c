@@ -6,7 +6,7 @@
  */
 #include "kpirl_mpc_method.h"
 
-static const real GROWTH = (real)1e3;    /* of tau beyond the mean of y z: a step that multiplies them by more has no meaning */
+static const real GROWTH = 10;           /* of tau beyond the mean of y z: a step that multiplies them by more has no meaning */
 static const real CORRECTED = (real)0.5; /* length of a step from which its second order is believed */
 /* Gondzio's: how many correctors; how much longer a step each aims at; the least that it has to gain; products y z between
  * NEAR tau and FAR tau count as central. */
