@@ -23,6 +23,7 @@
  */
 #include "kpirl_mpc_method.h"
 
+static const real CENTRE = (real)1e10; /* products of slacks and multipliers are no farther from tau than by this factor */
 static const real HEAVY = (real)1e6; /* forces of constraints that mean nothing any more, relative to the gradient of J, or 1 */
 
 /* Can an inequality be violated? Bounds of decisions can not. */
@@ -136,6 +137,9 @@ void kpirl_mpc_penalty_slopes(const kpirl_mpc_core *core, real *z, real *nu) {
   for (i = 0; i < n_c; ++i) nu[i] = slope_of_equality(core, i);
 }
 
+/* A multiplier between bounds; NaN stays. */
+static real within(real z, real least, real most) { return z < least ? least : z > most ? most : z; }
+
 /* The curvatures: stiffness of equalities, and y of elastic rows so that z / y is theirs, see kpirl_mpc_newton.c; of slopes, where these
  * take the place of multipliers. */
 void kpirl_mpc_weigh_elastic(kpirl_mpc_core *core) {
@@ -145,8 +149,10 @@ void kpirl_mpc_weigh_elastic(kpirl_mpc_core *core) {
   if (core->indefinite) kpirl_mpc_penalty_slopes(core, core->at.z, core->at.nu);
   for (i = 0; i < m; ++i) {
     const inequality_slacks s = slacks_of_inequality(core, i, core->d.g[i]);
-    const real z = core->at.z[i] * s.size;
-    if (kpirl_mpc_is_elastic(core, i)) core->at.y[i] = (s.y / z + s.e / (rho - z)) * z * s.size;
+    const real share = core->tau / CENTRE, z = within(core->at.z[i] * s.size, share / s.y, rho - share / s.e);
+    if (!kpirl_mpc_is_elastic(core, i)) continue;
+    core->at.z[i] = z / s.size;
+    core->at.y[i] = (s.y / z + s.e / (rho - z)) * z * s.size;
   }
   for (i = 0; i < n_c; ++i) {
     const equality_slacks s = slacks_of_equality(core, i, core->d.c[i]);
