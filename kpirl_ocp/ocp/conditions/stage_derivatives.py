@@ -7,16 +7,10 @@ from typing import TypeAlias
 
 import casadi as ca
 
-from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedDynamics, depends_on_psi
+from kpirl_ocp.ocp.problem.linearised_dynamics import depends_on_psi
 from kpirl_ocp.ocp.problem.ocp import OCP
 
 Symbol: TypeAlias = "ca.SX | ca.MX"
-
-
-def linearise_dynamics(problem: OCP, states: ca.MX, actions: ca.MX, psi: ca.MX, costates: ca.MX) -> LinearisedDynamics:
-    """The dynamics at all stages of S (n_s, T+1), U (n_u, T), psi and Lambda (n_s, T)."""
-    at = states[:, :-1], actions, psi_by_stage(problem, psi), costates
-    return problem.dynamics_derivatives.linearise(*at)
 
 
 @lru_cache(maxsize=64)

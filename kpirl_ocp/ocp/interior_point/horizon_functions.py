@@ -11,17 +11,16 @@ and `dynamics` (x, psi, c, d) -> f of one stage, for rollouts. Layers of a netwo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import casadi as ca
 
-from kpirl_ocp.ocp.conditions.stage_derivatives import linearise_dynamics
+from kpirl_ocp.ocp.conditions.stage_derivatives import psi_by_stage
 from kpirl_ocp.ocp.interior_point.library import HORIZON
 from kpirl_ocp.ocp.interior_point.stage_functions import Levels, constraint_functions, last_functions
-from kpirl_ocp.ocp.problem.columns import map_shared
-from kpirl_ocp.ocp.problem.linearised_dynamics import LinearisedDynamics
+from kpirl_ocp.ocp.problem.columns import in_blocks, map_shared
 from kpirl_ocp.ocp.problem.ocp import OCP
-from kpirl_ocp.ocp.problem.trajectory_cost import Coefficients, TrajectoryCost, stage_costs
+from kpirl_ocp.ocp.problem.trajectory_cost import TrajectoryCost, stage_costs
 
 _INPUTS, _OUTPUTS = HORIZON
 
@@ -51,16 +50,17 @@ def _levels(problem: OCP) -> Levels:
     (states, actions, psi, context), costates = point, dual[0]
     cost = TrajectoryCost(problem, 1)
     theta = cost.coefficients(psi, context)
-    dynamics = linearise_dynamics(problem, states, actions, psi, costates)
+    at = [states[:, :-1], actions, psi_by_stage(problem, psi), costates]
+    successors, Ft_lambda = in_blocks(partial(_stages_first, problem), at)
     rows = [_rows(problem, function, point, dual) for function in constraint_functions(problem)]
     ends = [_ends(problem, function, point, dual) for function in last_functions(problem)]
     total, by_states, by_actions = cost.first(states, actions, theta)
-    (successors,) = map_shared(problem.transition, problem.horizon, [states[:, :-1], actions, psi])
-    values = [total, successors, *rows[0][1:3], *ends[0][1:3]]
+    stepped = map_shared(problem.transition, problem.horizon, [states[:, :-1], actions, psi])
+    values = [total, *stepped, *rows[0][1:3], *ends[0][1:3]]
     slope, last_slope = ca.vertcat(by_states[:, :-1], by_actions), by_states[:, -1]
-    slopes = [slope, last_slope, slope + dynamics.Ft_lambda + rows[1][4], ends[1][4]]
-    first = [total, dynamics.value, *rows[1][1:3], *ends[1][1:3], *slopes]
-    second = _second(problem, dynamics, theta, point, costates, rows[2], ends[2])
+    slopes = [slope, last_slope, slope + Ft_lambda + rows[1][4], ends[1][4]]
+    first = [total, successors, *rows[1][1:3], *ends[1][1:3], *slopes]
+    second = _second(problem, [*at, theta.stages], rows[2], ends[2])
     return (
         _function("horizon_values", point, values),
         _function("horizon_first", [*point, *dual], first),
@@ -81,26 +81,28 @@ def _function(name: str, inputs: list[ca.MX], outputs: list[ca.MX]) -> ca.Functi
     return ca.Function(name, inputs, dense, [*_INPUTS[: len(inputs)]], [*_OUTPUTS[: len(outputs)]])
 
 
-def _second(
-    problem: OCP,
-    dynamics: LinearisedDynamics,
-    theta: Coefficients,
-    point: list[ca.MX],
-    costates: ca.MX,
-    rows: list[ca.MX],
-    ends: list[ca.MX],
-) -> list[ca.MX]:
+def _second(problem: OCP, at: list[ca.MX], rows: list[ca.MX], ends: list[ca.MX]) -> list[ca.MX]:
     """The results with second derivatives."""
-    states, actions, *_ = point
-    stage, prepared = dynamics.second()
-    value, slope, successors, Ft_lambda, F, H = _stage_second(problem, stage).map(problem.horizon)(
-        states[:, :-1], actions, theta.stages, costates, *prepared
-    )
+    value, slope, successors, Ft_lambda, F, H = in_blocks(partial(_stages_second, problem), at)
     if problem.n_path + problem.n_path_equality:
         H = H + rows[7]
     values = [ca.sum2(value) + ends[0], successors, *rows[1:3], *ends[1:3]]
     slopes = [slope, ends[3], slope + Ft_lambda + rows[4], ends[4]]
     return [*values, *slopes, F, *rows[5:7], H, *ends[5:]]
+
+
+def _stages_first(problem: OCP, *at: ca.MX) -> list[ca.MX]:
+    """(S, U, psi, Lambda) -> f and F' lambda, of some stages."""
+    dynamics = problem.dynamics_derivatives.linearise(*at)
+    return [dynamics.value, dynamics.Ft_lambda]
+
+
+def _stages_second(problem: OCP, *at: ca.MX) -> list[ca.MX]:
+    """(S, U, psi, Lambda, Theta) -> the results of `_stage_second`, of some stages."""
+    states, actions, psi, costates, theta = at
+    stage, prepared = problem.dynamics_derivatives.linearise(states, actions, psi, costates).second()
+    mapped = _stage_second(problem, stage).map(states.size2())
+    return list(mapped(states, actions, theta, costates, *prepared))
 
 
 def _stage_second(problem: OCP, dynamics: ca.Function) -> ca.Function:

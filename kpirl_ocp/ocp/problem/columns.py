@@ -6,7 +6,7 @@ The columns of an array (n, T B) are ordered by time, then by trajectory: T bloc
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
 from itertools import pairwise
 
@@ -15,6 +15,7 @@ import casadi as ca
 from kpirl_ocp.ocp.problem.statement.expressions import inputs_of
 
 _WRITTEN_OUT = 32  # up to this many steps are written out one by one
+_TOGETHER = 32  # columns of one block: what is computed for them stays in the second-level cache until it is used
 
 
 def scan(
@@ -77,6 +78,27 @@ def map_shared(function: ca.Function, steps: int, inputs: Sequence[ca.MX], add: 
     share = [inputs[i].shape == function.size_in(i) for i in used]
     mapped = _with_inputs(function, used).map(steps, share, [add] * function.n_out())
     return mapped.call([inputs[i] for i in used])
+
+
+def in_blocks(function: Callable[..., Sequence[ca.MX]], inputs: Sequence[ca.MX]) -> list[ca.MX]:
+    """The outputs, side by side, of a function of any number of columns, for some columns of all inputs at a time.
+
+    Its inputs, outputs and everything in between has a column for each, so that the order of evaluation is free.
+    """
+    columns = inputs[0].size2()
+    width = next((n for n in range(_TOGETHER, _TOGETHER // 2, -1) if columns % n == 0), _TOGETHER)
+    whole, rest = columns - columns % width, columns % width
+    parts = [
+        _of_columns(function, inputs, size).map(count).call([array[:, begin:end] for array in inputs])
+        for begin, end, size, count in ((0, whole, width, whole // width), (whole, columns, rest, 1))
+        if end > begin
+    ]
+    return [ca.horzcat(*outputs) for outputs in zip(*parts, strict=True)]
+
+
+def _of_columns(function: Callable[..., Sequence[ca.MX]], inputs: Sequence[ca.MX], count: int) -> ca.Function:
+    symbols = [ca.MX.sym("x", array.size1(), count) for array in inputs]
+    return ca.Function("block", symbols, [ca.densify(output) for output in function(*symbols)])
 
 
 def _used(function: ca.Function) -> list[int]:

@@ -83,8 +83,8 @@ class TrajectoryCost:
         """The coefficients theta of all stages."""
         T, B = self.problem.horizon, self.columns
         stages, last = coefficients_of(self.problem).map(B)(psi, context)
-        if not stages.numel():
-            return Coefficients(ca.MX(0, T * B), last)
+        if B == 1 or not stages.numel():
+            return Coefficients(ca.reshape(stages, stages.size1() // T, T * B), last)
         return Coefficients(ca.horzcat(*ca.vertsplit(stages, stages.size1() // T)), last)
 
     def first(self, S: ca.MX, U: ca.MX, theta: Coefficients) -> tuple[ca.MX, ca.MX, ca.MX]:

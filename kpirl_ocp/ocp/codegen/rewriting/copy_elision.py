@@ -5,8 +5,8 @@
     earlier   the same where w is written anew after that         w has another name until then
 
 The results are the same to the last bit. Each concerns one function. The last two need results that overlap neither
-each other nor the arguments: CasADi finds places for the results of a call before it frees its arguments. The callers
-of the functions that a file is generated for are not known, so these are left alone.
+each other nor the arguments. CasADi finds places for the results of a call before it frees its arguments; whoever calls
+the functions that a file is generated for has to do the same.
 """
 
 from __future__ import annotations
@@ -14,20 +14,13 @@ from __future__ import annotations
 import re
 
 FUNCTION = re.compile(r"^static int (casadi_f\d+)\(const casadi_real\*\* arg.*?^}\n", re.MULTILINE | re.DOTALL)
-ENTRY = re.compile(r"return (casadi_f\d+)\(arg, res, iw, w, mem\);")
 _START = re.compile(r"^ *casadi_(?:clear\((w\d+), \d+|copy\((\w+), \d+, (w\d+))\);\n", re.MULTILINE)
 _OUTPUT = re.compile(r"^ *(?:if \(res\[\d+\]\) )?casadi_copy\((w\d+), \d+, res\[(\d+)\](\+\d+)?\);\n", re.MULTILINE)
 
 
 def with_fewer_copies(source: str) -> str:
     """Generated C with the first two; products call `kernel_mtimes_from` of `kpirl_ocp.ocp.codegen.kernels`."""
-    entries = set(ENTRY.findall(source))
-
-    def shorter(function: re.Match[str]) -> str:
-        text = _products(function[0])
-        return text if function[1] in entries else _outputs(text)
-
-    return FUNCTION.sub(shorter, source)
+    return FUNCTION.sub(lambda found: _outputs(_products(found[0])), source)
 
 
 def _products(text: str) -> str:
@@ -56,8 +49,7 @@ def _outputs(text: str) -> str:
 
 def with_earlier_outputs(source: str) -> str:
     """Generated C whose loops are joined, with the last of these replacements."""
-    entries = set(ENTRY.findall(source))
-    return FUNCTION.sub(lambda found: found[0] if found[1] in entries else _earlier_outputs(found[0]), source)
+    return FUNCTION.sub(lambda found: _earlier_outputs(found[0]), source)
 
 
 def _earlier_outputs(text: str) -> str:

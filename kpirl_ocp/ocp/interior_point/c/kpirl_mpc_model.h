@@ -54,7 +54,7 @@ typedef struct kpirl_mpc_horizon_results {
 } kpirl_mpc_horizon_results;
 
 /* Functions return 0 when all went well. Each gives the results of its level and of those before; results that are NULL are
- * not wanted. */
+ * not wanted, others overlap neither each other nor the arguments. */
 typedef struct kpirl_mpc_stage_function {
   int (*evaluate)(void *self, const kpirl_mpc_stage_arguments *arguments, const kpirl_mpc_stage_results *results);
   void *self;
