@@ -160,11 +160,12 @@ def test_compiled_gradient_is_that_of_the_virtual_machine(activation, monkeypatc
     assert error(found.gradient, expected.gradient) <= 1e-12
 
 
-@pytest.mark.parametrize("name", ["network", "pendulum"])
-def test_several_demonstrations_together_give_what_each_gives_alone(name):
+@pytest.mark.parametrize(("name", "count"), [("network", 5), ("network", 7), ("pendulum", 2)])
+def test_several_demonstrations_together_give_what_each_gives_alone(name, count):
     problem = network_problem() if name == "network" else replace(pendulum().problem)
-    found = demonstrations(problem, 5) if name == "network" else [pendulum().demonstration] * 2
+    found = demonstrations(problem, count) if name == "network" else [pendulum().demonstration] * count
     psi, method = psi_of(problem), Unrolled(GradientDescent(STEPS, 0.02))
+    assert method.batch(problem, [], psi) == []
     for one, alone in zip(method.batch(problem, found, psi), (method(problem, d, psi) for d in found), strict=True):
         assert one.loss == pytest.approx(alone.loss, rel=1e-14)
         assert error(one.gradient, alone.gradient) <= 1e-12

@@ -51,6 +51,8 @@ _CLEAR = 1e-6
 _STEADY = 100.0
 # Growth of the adjoint over the reverse pass, and so of rounding errors in the steps, that leaves under eight digits.
 _GROWTH = 1e8
+# Descents in one call: products keep five columns in registers, and the records of more outgrow the cache.
+_TOGETHER = 5
 _HEAD = 5  # numbers before the gradient in an output of `unrolled_function`
 _STEPS_KINK = (
     "The steps end on a kink or cross one, or they diverge: the loss has other slopes beside psi than this gradient. "
@@ -176,9 +178,12 @@ def unrolled_gradients(
         Descent.toward(problem, solver, loss, demonstration, psi, guess)
         for demonstration, guess in zip(demonstrations, guesses or [None] * len(demonstrations), strict=True)
     ]
-    wrong = () if passes_agree(problem, len(descents)) else (WRONG_DERIVATIVES,)
+    if not descents:
+        return []
+    columns = _columns(len(descents))
+    wrong = () if passes_agree(problem, columns) else (WRONG_DERIVATIVES,)
     outputs = _outputs(descents, last, checkpoint)
-    losses = partial(call_built, losses_code, problem, solver, loss, last, checkpoint, len(descents))
+    losses = partial(call_built, losses_code, problem, solver, loss, last, checkpoint, columns)
     return [_certified(descent, last, output, wrong, losses) for descent, output in zip(descents, outputs, strict=True)]
 
 
@@ -211,12 +216,21 @@ def gradient_alone(method: Unrolled, problem: OCP, demonstration: Demonstration,
     return output[_HEAD : _HEAD + problem.n_parameters]
 
 
+def _columns(count: int) -> int:
+    """How many of `count` descents go into one call, so that the calls have about as many each."""
+    return math.ceil(count / math.ceil(count / _TOGETHER))
+
+
 def _outputs(descents: Sequence[Descent], last: int, checkpoint: bool) -> Array:
-    """Outputs of `unrolled_function`, a row for each of the B descents."""
-    first, count = descents[0], len(descents)
-    evaluate = call_built(gradient_code, first.problem, first.solver, first.loss, last, checkpoint, count)
-    (outputs,) = evaluate(*side_by_side(descents))
-    return outputs.reshape(count, -1)
+    """Outputs of `unrolled_function`, a row for each of the B descents; its last one fills up the last call."""
+    first, columns = descents[0], _columns(len(descents))
+    evaluate = call_built(gradient_code, first.problem, first.solver, first.loss, last, checkpoint, columns)
+    rows = []
+    for begin in range(0, len(descents), columns):
+        group = descents[begin : begin + columns]
+        (outputs,) = evaluate(*side_by_side([*group, *group[-1:] * (columns - len(group))]))
+        rows.append(outputs.reshape(columns, -1)[: len(group)])
+    return np.concatenate(rows)
 
 
 class _Sweep(NamedTuple):
