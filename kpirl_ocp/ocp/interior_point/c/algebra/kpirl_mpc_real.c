@@ -1,23 +1,23 @@
 /* SPDX-License-Identifier: MIT */
 #include "kpirl_mpc_real.h"
 
-enum { LANES = 8 }; /* independent partial results, which compilers keep in vectors */
+enum { LANES = 8, SEVERAL = 16, MANY = 32 }; /* independent partial results, which compilers keep in vectors; more hide latency */
 
 int kpirl_mpc_all_finite(const real *values, int count) {
-  real zero[LANES] = {0}, sum = 0; /* x - x is NaN unless x is finite */
+  real zero[MANY] = {0}, sum = 0; /* x - x is NaN unless x is finite */
   int i = 0, k;
-  for (; i + LANES <= count; i += LANES)
-    for (k = 0; k < LANES; ++k) zero[k] += values[i + k] - values[i + k];
+  for (; i + MANY <= count; i += MANY)
+    for (k = 0; k < MANY; ++k) zero[k] += values[i + k] - values[i + k];
   for (; i < count; ++i) sum += values[i] - values[i];
-  for (k = 0; k < LANES; ++k) sum += zero[k];
+  for (k = 0; k < MANY; ++k) sum += zero[k];
   return sum == 0;
 }
 
 real kpirl_mpc_norm_inf(const real *values, int count) {
-  real most[LANES] = {0}, zero[LANES] = {0}, result = 0, invalid = 0;
+  real most[SEVERAL] = {0}, zero[SEVERAL] = {0}, result = 0, invalid = 0;
   int i = 0, k;
-  for (; i + LANES <= count; i += LANES)
-    for (k = 0; k < LANES; ++k) {
+  for (; i + SEVERAL <= count; i += SEVERAL)
+    for (k = 0; k < SEVERAL; ++k) {
       const real size = kpirl_mpc_abs(values[i + k]);
       most[k] = size > most[k] ? size : most[k];
       zero[k] += values[i + k] * 0;
@@ -26,7 +26,7 @@ real kpirl_mpc_norm_inf(const real *values, int count) {
     result = kpirl_mpc_max(kpirl_mpc_abs(values[i]), result);
     if (isnan(values[i])) invalid = values[i];
   }
-  for (k = 0; count >= LANES && k < LANES; ++k) {
+  for (k = 0; count >= SEVERAL && k < SEVERAL; ++k) {
     result = kpirl_mpc_max(most[k], result);
     if (isnan(zero[k]) && result < (real)INFINITY) invalid = zero[k]; /* infinity times zero is NaN, too */
   }
