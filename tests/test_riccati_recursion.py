@@ -107,7 +107,7 @@ def by_columns(matrices):
 def factors_of(lq):
     steps, n_s, n_u, _ = lq.sizes
     n_free = len(lq.free)
-    sizes = {"P": (steps + 1, n_s, n_s), "W": (steps, n_u, n_u), "Y": (steps, n_s, n_u), "pivots": (steps, n_u)}
+    sizes = {"P": (steps + 1, n_s, n_s), "W": (steps, n_u, n_u), "Y": (steps, n_u, n_s), "pivots": (steps, n_u)}
     sizes |= {"free_W": (n_free, n_free), "free_pivots": (n_free,)}
     arrays = {name: np.zeros(shape) for name, shape in sizes.items()}
     scratch = np.zeros(run("stage_scratch", n_s, n_u) + n_free**2)
@@ -191,10 +191,10 @@ def test_the_scalar_recursion_is_its_closed_form():
         P = q + a**2 * r * P / (r + b**2 * P)
         values.append(P)
     np.testing.assert_allclose(arrays["P"].ravel(), values[::-1], rtol=1e-13)
-    gain, scratch = np.zeros(1), np.zeros(1)
     for t, one in enumerate(reversed(gains)):
-        run("gain", 1, 1, factors, t, scratch, gain)
-        np.testing.assert_allclose(gain, one, rtol=1e-13)
+        fed = np.array([0.25])
+        run("feedback", 1, 1, factors, t, np.array([2.0]), np.zeros(2), fed)
+        np.testing.assert_allclose(fed, 0.25 + 2 * one, rtol=1e-13)
         expected += [s, one * s]
         s = a * s + b * one * s
     at_rest = lq._replace(q=np.zeros(2 * steps + 1), d=np.zeros((steps, 1)), s0=np.array([2.0]))

@@ -108,7 +108,6 @@ typedef struct kpirl_mpc_core {
   real *row_sizes;      /* of the gradients of inequalities, then equalities (m + n_c), for elastic mode */
   real *target;         /* of y z (m) */
   real *right, *start;  /* right-hand side (n_w), and of s_0 (n_s) */
-  real *K;              /* feedback (n_u, n_s) of a stage, and what it takes to find it */
   real *scratch;
   real *nonzeros;       /* of a function's result */
   real *states, *actions; /* gathered for functions of the whole horizon */

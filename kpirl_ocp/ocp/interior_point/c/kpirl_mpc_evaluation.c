@@ -228,10 +228,7 @@ void kpirl_mpc_feedback_rollout(kpirl_mpc_core *core, real length, real *objecti
     const int offset = t * n_x;
     for (i = 0; i < n_s; ++i) off[i] = here[i] - x[offset + i] - length * dx[offset + i];
     for (i = n_s; i < n_x; ++i) here[i] = x[offset + i] + length * dx[offset + i];
-    if (n_u > 0 && t > 0) {
-      kpirl_mpc_gain(n_s, n_u, &core->factors, t, core->K + n_u * n_s, core->K);
-      kpirl_mpc_times_vector(core->K, n_u, n_s, off, here + n_s);
-    }
+    if (n_u > 0 && t > 0) kpirl_mpc_feedback(n_s, n_u, &core->factors, t, off, core->scratch, here + n_s);
     if (core->model.by_stage)
       stage_values(core, t, to, objective, next, path, equality);
     else

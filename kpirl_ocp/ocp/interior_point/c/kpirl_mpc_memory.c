@@ -102,7 +102,6 @@ static void lay_out(cursor *at, kpirl_mpc_core *core) {
   core->row_sizes = take_reals(at, m + kpirl_mpc_n_equalities(core));
   core->right = take_reals(at, kpirl_mpc_n_point(core));
   core->start = take_reals(at, n_s);
-  core->K = take_reals(at, n_u * (n_s + 1));
   core->scratch = take_reals(at, most(most(kpirl_mpc_stage_scratch(n_s, n_u), kpirl_mpc_substitute_scratch(T, n_s, n_u)),
                                       most(core->bounds.n_free * core->bounds.n_free, m + kpirl_mpc_n_equalities(core))));
   core->nonzeros = take_reals(at, most_nonzeros(&core->model));

@@ -34,14 +34,14 @@ void kpirl_mpc_inverse_root(real *A, int n, real *W, real *pivots) {
 
 int kpirl_mpc_stage_scratch(int n_s, int n_u) {
   const int n_x = n_s + n_u;
-  return 2 * n_s * n_x + n_u * n_u + 3 * n_u * n_s;
+  return 2 * n_s * n_x + 2 * n_u * (n_u + n_s);
 }
 
 void kpirl_mpc_factor_stage(int n_s, int n_u, const real *P_next, const real *F, real *M, real *scratch, real *P, real *W,
                             real *Y, real *pivots) {
   const int n_x = n_s + n_u;
-  real *PF = scratch, *Ft = PF + n_s * n_x, *M_uu = Ft + n_s * n_x, *M_us = M_uu + n_u * n_u, *Yt = M_us + n_u * n_s,
-       *JY = Yt + n_u * n_s;
+  real *PF = scratch, *Ft = PF + n_s * n_x, *M_uu = Ft + n_s * n_x, *Wt = M_uu + n_u * n_u, *M_su = Wt + n_u * n_u,
+       *JYt = M_su + n_u * n_s;
   int i, j;
   memset(PF, 0, (size_t)n_s * n_x * sizeof(real));
   kpirl_mpc_times(P_next, n_s, n_s, F, n_x, PF);
@@ -51,14 +51,15 @@ void kpirl_mpc_factor_stage(int n_s, int n_u, const real *P_next, const real *F,
   if (n_u > 0) {
     for (j = 0; j < n_u; ++j)
       for (i = j; i < n_u; ++i) M_uu[i + j * n_u] = M[(n_s + i) + (n_s + j) * n_x];
-    for (j = 0; j < n_s; ++j) memcpy(M_us + j * n_u, M + j * n_x + n_s, (size_t)n_u * sizeof(real));
+    for (i = 0; i < n_u; ++i)
+      for (j = 0; j < n_s; ++j) M_su[j + i * n_s] = M[(n_s + i) + j * n_x];
     kpirl_mpc_inverse_root(M_uu, n_u, W, pivots);
+    kpirl_mpc_transpose(W, n_u, n_u, Wt);
     memset(Y, 0, (size_t)n_u * n_s * sizeof(real));
-    kpirl_mpc_times(W, n_u, n_u, M_us, n_s, Y);
-    kpirl_mpc_transpose(Y, n_u, n_s, Yt);
-    for (j = 0; j < n_s; ++j)
-      for (i = 0; i < n_u; ++i) JY[i + j * n_u] = -sign(pivots[i]) * Y[i + j * n_u];
-    kpirl_mpc_times_lower(Yt, n_s, n_u, JY, P);
+    kpirl_mpc_times(M_su, n_s, n_u, Wt, n_u, Y);
+    for (i = 0; i < n_u; ++i)
+      for (j = 0; j < n_s; ++j) JYt[i + j * n_u] = -sign(pivots[i]) * Y[j + i * n_s];
+    kpirl_mpc_times_lower(Y, n_s, n_u, JYt, P);
   }
   kpirl_mpc_mirror(P, n_s);
 }
@@ -116,18 +117,17 @@ void kpirl_mpc_substitute(int horizon, int n_s, int n_u, int n_free, const int *
       p = work;
     }
     kpirl_mpc_transposed_times_vector(F + (size_t)t * n_s * n_x, n_s, n_x, p, m_t);
-    if (n_u == 0) continue;
     kpirl_mpc_times_vector(factors->W + (size_t)t * n_u * n_u, n_u, n_u, m_t + n_s, v_t);
     for (i = 0; i < n_u; ++i) work[i] = -sign(pivots[i]) * v_t[i];
-    kpirl_mpc_transposed_times_vector(factors->Y + (size_t)t * n_u * n_s, n_u, n_s, work, m_t);
+    kpirl_mpc_times_vector(factors->Y + (size_t)t * n_u * n_s, n_s, n_u, work, m_t);
   }
   memset(x, 0, n_w * sizeof(real));
   memcpy(x, start, of_states);
   if (n_free > 0) start_free(n_s, n_free, free, factors, m, work, x);
   for (t = 0; t < horizon; ++t) {
     real *x_t = x + t * n_x, *next = x_t + n_x, *v_t = v + t * n_u;
-    kpirl_mpc_times_vector(factors->Y + (size_t)t * n_u * n_s, n_u, n_s, x_t, v_t);
-    if (n_u > 0) apply_root(factors->W + (size_t)t * n_u * n_u, factors->pivots + t * n_u, n_u, v_t, work, x_t + n_s);
+    kpirl_mpc_transposed_times_vector(factors->Y + (size_t)t * n_u * n_s, n_s, n_u, x_t, v_t);
+    apply_root(factors->W + (size_t)t * n_u * n_u, factors->pivots + t * n_u, n_u, v_t, work, x_t + n_s);
     if (d) memcpy(next, d + t * n_s, of_states);
     kpirl_mpc_times_vector(F + (size_t)t * n_s * n_x, n_s, n_x, x_t, next);
     if (!costates) continue;
@@ -136,9 +136,9 @@ void kpirl_mpc_substitute(int horizon, int n_s, int n_u, int n_free, const int *
   }
 }
 
-void kpirl_mpc_gain(int n_s, int n_u, const kpirl_mpc_factors *factors, int t, real *scratch, real *K) {
-  const real *W = factors->W + (size_t)t * n_u * n_u, *Y = factors->Y + (size_t)t * n_u * n_s;
-  int j;
-  memset(K, 0, (size_t)n_u * n_s * sizeof(real));
-  for (j = 0; j < n_s; ++j) apply_root(W, factors->pivots + t * n_u, n_u, Y + j * n_u, scratch, K + j * n_u);
+void kpirl_mpc_feedback(int n_s, int n_u, const kpirl_mpc_factors *factors, int t, const real *s, real *scratch, real *u) {
+  real *root = scratch, *work = root + n_u;
+  memset(root, 0, (size_t)n_u * sizeof(real));
+  kpirl_mpc_transposed_times_vector(factors->Y + (size_t)t * n_u * n_s, n_s, n_u, s, root);
+  apply_root(factors->W + (size_t)t * n_u * n_u, factors->pivots + t * n_u, n_u, root, work, u);
 }

@@ -9,10 +9,10 @@
  * With the value function 1/2 s' P_t s + p_t' s of the stages from t on, backwards from P_T = H_T, p_T = q_T:
  *
  *     M = H_t + F_t' P_{t+1} F_t,    m = q_t + F_t' (P_{t+1} d_t + p_{t+1})
- *     M_uu = L D L',   W = |D|^{-1/2} L^{-1},   Y = W M_us,    v = W m_u,   J = sign(D)
- *     P_t = M_ss - Y' J Y,   p_t = m_s - Y' J v
+ *     M_uu = L D L',   W = |D|^{-1/2} L^{-1},   Y = M_su W',   v = W m_u,   J = sign(D)
+ *     P_t = M_ss - Y J Y',   p_t = m_s - Y J v
  *
- * and forwards u_t = -W' J (Y s_t + v), with the costate lambda_t = P_{t+1} s_{t+1} + p_{t+1} of s_{t+1} = ... .
+ * and forwards u_t = -W' J (Y' s_t + v), with the costate lambda_t = P_{t+1} s_{t+1} + p_{t+1} of s_{t+1} = ... .
  * There are as many negative pivots in all D as the Hessian along the dynamics has negative eigenvalues: it has a
  * minimum exactly when all are positive. Entries of s_0 that are not given are eliminated last, in the same way.
  *
@@ -25,7 +25,7 @@
 
 typedef struct kpirl_mpc_factors {
   real *P;           /* (n_s, n_s) of stages 0 .. T */
-  real *W, *Y;       /* (n_u, n_u) and (n_u, n_s) of stages 0 .. T-1 */
+  real *W, *Y;       /* (n_u, n_u) and (n_s, n_u) of stages 0 .. T-1 */
   real *pivots;      /* (n_u) of stages 0 .. T-1 */
   real *free_W;      /* (n_free, n_free), of the block of P_0 that belongs to free entries of s_0 */
   real *free_pivots; /* (n_free) */
@@ -50,7 +50,7 @@ void kpirl_mpc_substitute(int horizon, int n_s, int n_u, int n_free, const int *
                           real *x, real *costates);
 int kpirl_mpc_substitute_scratch(int horizon, int n_s, int n_u);
 
-/* K (n_u, n_s) = -W' J Y of stage t: the feedback u = .. + K s. scratch: n_u numbers. */
-void kpirl_mpc_gain(int n_s, int n_u, const kpirl_mpc_factors *factors, int t, real *scratch, real *K);
+/* u (n_u) += K s of stage t, with the feedback K = -W' J Y'. scratch: 2 n_u numbers. */
+void kpirl_mpc_feedback(int n_s, int n_u, const kpirl_mpc_factors *factors, int t, const real *s, real *scratch, real *u);
 
 #endif

@@ -36,10 +36,7 @@ static int find_negative_curvature(kpirl_mpc_core *core) {
     change->x[stage * n_x + n_s + i] = factors->W[stage * n_u * n_u + worst % n_u + i * n_u];
   for (t = stage; t < T; ++t) {
     real *x = change->x + t * n_x;
-    if (t > stage) {
-      kpirl_mpc_gain(n_s, n_u, factors, t, core->K + n_u * n_s, core->K);
-      kpirl_mpc_times_vector(core->K, n_u, n_s, x, x + n_s);
-    }
+    if (t > stage) kpirl_mpc_feedback(n_s, n_u, factors, t, x, core->scratch, x + n_s);
     kpirl_mpc_times_vector(core->d.F + t * n_s * n_x, n_s, n_x, x, x + n_x);
   }
   kpirl_mpc_inequalities_times(core, change->x, change->y);
