@@ -136,6 +136,16 @@ INLINE void dots(const int columns, const real *a, int rows, const real *x, cons
   UNROLL for (c = 0; c < columns; ++c) y[c] += total(sum[c]);
 }
 
+typedef __typeof__((vector){0} == (vector){0}) mask;
+
+/* The last vector of x, with zeros in the place of the first `whole` entries. */
+INLINE vector end_of(const real *x, int rows, int whole) {
+  mask index;
+  int i;
+  UNROLL for (i = 0; i < LANES; ++i) index[i] = rows - LANES + i;
+  return (vector)((mask)*(const vector *)(x + rows - LANES) & (index >= whole));
+}
+
 /* Fewer rows than a vector has. */
 static void short_dots(const real *a, int rows, int columns, const real *x, real *y) {
   int i, j;
@@ -149,12 +159,12 @@ static void short_dots(const real *a, int rows, int columns, const real *x, real
 void kpirl_mpc_transposed_times_vector(const real *a, int rows, int columns, const real *x, real *y) {
   const int whole = rows > 0 ? (rows - 1) / LANES * LANES : 0;
   vector last;
-  int i, j = 0;
+  int j = 0;
   if (rows < LANES) {
     short_dots(a, rows, columns, x, y);
     return;
   }
-  for (i = 0; i < LANES; ++i) last[i] = rows - LANES + i < whole ? 0 : x[rows - LANES + i];
+  last = end_of(x, rows, whole);
   for (; j + 4 <= columns; j += 4) dots(4, a + j * rows, rows, x, last, whole, y + j);
   for (; j < columns; ++j) dots(1, a + j * rows, rows, x, last, whole, y + j);
 }
