@@ -25,8 +25,8 @@ from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult, enforc
 from kpirl_ocp.irl.hypergradients.loss import Loss, squared_distance
 from kpirl_ocp.irl.hypergradients.own_passes import passes_agree
 from kpirl_ocp.irl.hypergradients.smoothness import LossAt, parameter_kinks
-from kpirl_ocp.irl.hypergradients.unrolled_code import gradient_code, losses_code
-from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descent, direction, side_by_side
+from kpirl_ocp.irl.hypergradients.unrolled_code import columns_of, losses_code, outputs_of
+from kpirl_ocp.irl.hypergradients.unrolled_slopes import STEP, Descent, direction
 from kpirl_ocp.ocp.codegen.numpy_calls import Call, call_built
 from kpirl_ocp.ocp.conditions.steepness import nearly_constant_in_psi
 from kpirl_ocp.ocp.problem.layout import by_stage
@@ -51,8 +51,6 @@ _CLEAR = 1e-6
 _STEADY = 100.0
 # Growth of the adjoint over the reverse pass, and so of rounding errors in the steps, that leaves under eight digits.
 _GROWTH = 1e8
-# Descents in one call: products keep five columns in registers, and the records of more outgrow the cache.
-_TOGETHER = 5
 _HEAD = 5  # numbers before the gradient in an output of `unrolled_function`
 _STEPS_KINK = (
     "The steps end on a kink or cross one, or they diverge: the loss has other slopes beside psi than this gradient. "
@@ -180,9 +178,9 @@ def unrolled_gradients(
     ]
     if not descents:
         return []
-    columns = _columns(len(descents))
+    columns = columns_of(len(descents))
     wrong = () if passes_agree(problem, columns) else (WRONG_DERIVATIVES,)
-    outputs = _outputs(descents, last, checkpoint)
+    outputs = outputs_of(descents, last, checkpoint)
     losses = partial(call_built, losses_code, problem, solver, loss, last, checkpoint, columns)
     return [_certified(descent, last, output, wrong, losses) for descent, output in zip(descents, outputs, strict=True)]
 
@@ -212,25 +210,8 @@ def _certified(
 def gradient_alone(method: Unrolled, problem: OCP, demonstration: Demonstration, psi: ArrayLike) -> Array:
     """The gradient (n_psi,) without a certificate, for further losses at a plan of which one was certified."""
     descent = Descent.toward(problem, method.solver, method.loss, demonstration, psi)
-    (output,) = _outputs([descent], method.solver.steps, method.checkpoint)
+    (output,) = outputs_of([descent], method.solver.steps, method.checkpoint)
     return output[_HEAD : _HEAD + problem.n_parameters]
-
-
-def _columns(count: int) -> int:
-    """How many of `count` descents go into one call, so that the calls have about as many each."""
-    return math.ceil(count / math.ceil(count / _TOGETHER))
-
-
-def _outputs(descents: Sequence[Descent], last: int, checkpoint: bool) -> Array:
-    """Outputs of `unrolled_function`, a row for each of the B descents; its last one fills up the last call."""
-    first, columns = descents[0], _columns(len(descents))
-    evaluate = call_built(gradient_code, first.problem, first.solver, first.loss, last, checkpoint, columns)
-    rows = []
-    for begin in range(0, len(descents), columns):
-        group = descents[begin : begin + columns]
-        (outputs,) = evaluate(*side_by_side([*group, *group[-1:] * (columns - len(group))]))
-        rows.append(outputs.reshape(columns, -1)[: len(group)])
-    return np.concatenate(rows)
 
 
 class _Sweep(NamedTuple):
