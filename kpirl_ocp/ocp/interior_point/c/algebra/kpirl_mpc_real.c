@@ -1,36 +1,33 @@
 /* SPDX-License-Identifier: MIT */
 #include "kpirl_mpc_real.h"
 
-enum { LANES = 8, SEVERAL = 16, MANY = 32 }; /* independent partial results, which compilers keep in vectors; more hide latency */
+enum { LANES = 8, MANY = 32 }; /* independent partial results, which compilers keep in vectors; MANY hide their latency */
 
 int kpirl_mpc_all_finite(const real *values, int count) {
   real zero[MANY] = {0}, sum = 0; /* x - x is NaN unless x is finite */
   int i = 0, k;
   for (; i + MANY <= count; i += MANY)
     for (k = 0; k < MANY; ++k) zero[k] += values[i + k] - values[i + k];
+  for (k = 0; i > 0 && k < MANY; ++k) sum += zero[k];
+  for (; i + 4 <= count; i += 4) /* what is left, in shorter vectors */
+    for (k = 0; k < 4; ++k) zero[k] += values[i + k] - values[i + k];
   for (; i < count; ++i) sum += values[i] - values[i];
-  for (k = 0; k < MANY; ++k) sum += zero[k];
+  for (k = 0; k < 4; ++k) sum += zero[k];
   return sum == 0;
 }
 
 real kpirl_mpc_norm_inf(const real *values, int count) {
-  real most[SEVERAL] = {0}, zero[SEVERAL] = {0}, result = 0, invalid = 0;
+  real most[LANES] = {0}, result = 0;
   int i = 0, k;
-  for (; i + SEVERAL <= count; i += SEVERAL)
-    for (k = 0; k < SEVERAL; ++k) {
-      const real size = kpirl_mpc_abs(values[i + k]);
-      most[k] = size > most[k] ? size : most[k];
-      zero[k] += values[i + k] * 0;
-    }
-  for (; i < count; ++i) {
-    result = kpirl_mpc_max(kpirl_mpc_abs(values[i]), result);
-    if (isnan(values[i])) invalid = values[i];
-  }
-  for (k = 0; count >= SEVERAL && k < SEVERAL; ++k) {
-    result = kpirl_mpc_max(most[k], result);
-    if (isnan(zero[k]) && result < (real)INFINITY) invalid = zero[k]; /* infinity times zero is NaN, too */
-  }
-  return isnan(invalid) ? invalid : result;
+  for (; i + LANES <= count; i += LANES)
+    for (k = 0; k < LANES; ++k) /* written so that compilers take a vector's maximum */
+      most[k] = most[k] < kpirl_mpc_abs(values[i + k]) ? kpirl_mpc_abs(values[i + k]) : most[k];
+  for (k = 0; i > 0 && k < LANES; ++k) result = kpirl_mpc_max(most[k], result);
+  for (; i < count; ++i) result = kpirl_mpc_max(kpirl_mpc_abs(values[i]), result);
+  if (kpirl_mpc_all_finite(values, count)) return result;
+  for (i = 0; i < count; ++i)
+    if (isnan(values[i])) return values[i];
+  return result;
 }
 
 real kpirl_mpc_norm_1(const real *values, int count) {
@@ -70,19 +67,25 @@ void kpirl_mpc_axpy(real factor, const real *restrict x, int count, real *restri
   for (i = 0; i < count; ++i) y[i] += factor * x[i];
 }
 
-/* Of the mantissas' product and the sum of the exponents: one logarithm for all. */
+static const real SMALL = (real)1e-15, LARGE = (real)1e15; /* numbers whose products are still normal in single precision */
+
+/* value without its power of two, which is added to the exponents, where it is far from one */
+static real near_one(real value, long *exponents) {
+  int exponent;
+  if (value > SMALL && value < LARGE) return value;
+  value = KPIRL_MPC_MATH(frexp)(value, &exponent);
+  *exponents += exponent;
+  return value;
+}
+
+/* Of the product and the sum of the exponents that were taken out of it: one logarithm for all. */
 real kpirl_mpc_log_sum(const real *values, int count) {
   real product = 1;
   long exponents = 0;
-  int i, exponent;
+  int i;
   for (i = 0; i < count; ++i) {
     if (!(values[i] > 0) || values[i] > KPIRL_MPC_LARGEST_NUMBER) return KPIRL_MPC_MATH(log)(values[i]);
-    product *= KPIRL_MPC_MATH(frexp)(values[i], &exponent);
-    exponents += exponent;
-    if (product < (real)1e-20) {
-      product = KPIRL_MPC_MATH(frexp)(product, &exponent);
-      exponents += exponent;
-    }
+    product = near_one(product * near_one(values[i], &exponents), &exponents);
   }
   return KPIRL_MPC_MATH(log)(product) + (real)exponents * (real)0.69314718055994530942;
 }

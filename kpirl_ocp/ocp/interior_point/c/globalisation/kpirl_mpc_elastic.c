@@ -27,7 +27,7 @@ static const real CENTRE = (real)1e10; /* products of slacks and multipliers are
 static const real HEAVY = (real)1e6; /* forces of constraints that mean nothing any more, relative to the gradient of J, or 1 */
 
 /* Can an inequality be violated? Bounds of decisions can not. */
-static int can_be_elastic(const kpirl_mpc_core *core, int row) {
+int kpirl_mpc_can_be_elastic(const kpirl_mpc_core *core, int row) {
   const int n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
   int entry;
   if (row >= kpirl_mpc_n_bounds(core)) return 1;
@@ -35,13 +35,11 @@ static int can_be_elastic(const kpirl_mpc_core *core, int row) {
   return entry >= n_s && entry % n_x < n_s;
 }
 
-int kpirl_mpc_is_elastic(const kpirl_mpc_core *core, int row) { return core->penalty > 0 && can_be_elastic(core, row); }
-
 int kpirl_mpc_has_elastic(const kpirl_mpc_core *core) {
   const int m = kpirl_mpc_n_inequalities(core);
   int i;
   for (i = 0; i < m; ++i)
-    if (can_be_elastic(core, i)) return 1;
+    if (kpirl_mpc_can_be_elastic(core, i)) return 1;
   return kpirl_mpc_n_equalities(core) > 0;
 }
 

@@ -10,24 +10,29 @@
 static const real GROWN = 10;          /* |x| relative to a size that was measured before */
 static const real LEAST = (real)0.1;  /* size in violations: what is small where the filter begins may grow */
 
+/* sizes (n_s) = at least sum_j |F_ij x_j|. sums: n_s numbers. */
+static void enlarge(int n_s, int n_x, const real *restrict F, const real *x, real *restrict sums, real *sizes) {
+  int i, j;
+  memset(sums, 0, (size_t)n_s * sizeof(real));
+  for (j = 0; j < n_x; ++j)
+    for (i = 0; i < n_s; ++i) sums[i] += kpirl_mpc_abs(F[i + j * n_s] * x[j]);
+  for (i = 0; i < n_s; ++i) sizes[i] = kpirl_mpc_max(sums[i], sizes[i]);
+}
+
 /* Sizes of states and actions: the largest of
  *     |x_i|  and, of a state,  sum_j |df_i / dx_j| |x_j|
  * over the stages. The second is what the linearised dynamics add up, also where that cancels: rounding is relative to it. Without
  * F, for a start, there is no least size. */
 void kpirl_mpc_measure(kpirl_mpc_core *core, const real *F) {
-  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions), n_w = kpirl_mpc_n_point(core);
+  const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
   const int bounds = kpirl_mpc_n_bounds(core), m = kpirl_mpc_n_inequalities(core);
   const real *x = core->at.x;
   real *sizes = core->sizes;
-  int i, j, t;
+  int i, t;
   memset(sizes, 0, (size_t)n_x * sizeof(real));
-  for (i = 0; i < n_w; ++i) sizes[i % n_x] = kpirl_mpc_max(kpirl_mpc_abs(x[i]), sizes[i % n_x]);
-  for (t = 0; F && t < T; ++t)
-    for (i = 0; i < n_s; ++i) {
-      real sum = 0;
-      for (j = 0; j < n_x; ++j) sum += kpirl_mpc_abs(F[(t * n_x + j) * n_s + i] * x[t * n_x + j]);
-      sizes[i] = kpirl_mpc_max(sum, sizes[i]);
-    }
+  for (t = 0; t <= T; ++t)
+    for (i = 0; i < (t < T ? n_x : n_s); ++i) sizes[i] = kpirl_mpc_max(kpirl_mpc_abs(x[t * n_x + i]), sizes[i]);
+  for (t = 0; F && t < T; ++t) enlarge(n_s, n_x, F + t * n_s * n_x, x + t * n_x, core->scratch, sizes);
   for (i = 0; i < n_x; ++i)
     sizes[i] = sizes[i] > 0 ? kpirl_mpc_max(F ? LEAST : 0, sizes[i]) : 1;
   for (i = 0; i < m; ++i) core->units[i] = i < bounds ? sizes[kpirl_mpc_bounded_entry(core, i) % n_x] : 1;

@@ -92,9 +92,12 @@ int kpirl_mpc_iterate_once(kpirl_mpc_core *core, real least);
 /* Go to the trial point; `level` says how much to find out about it. */
 void kpirl_mpc_accept_trial(kpirl_mpc_core *core, int level);
 
-/* elastic: is an inequality replaced by its penalty? The penalty at values of g and c; its slopes and curvatures at the iterate;
- * what the step does to it; the end of it. */
-int kpirl_mpc_is_elastic(const kpirl_mpc_core *core, int row);
+/* elastic: can an inequality be replaced by its penalty, and is it? The penalty at values of g and c; its slopes and curvatures at the
+ * iterate; what the step does to it; the end of it. */
+int kpirl_mpc_can_be_elastic(const kpirl_mpc_core *core, int row);
+static inline int kpirl_mpc_is_elastic(const kpirl_mpc_core *core, int row) {
+  return core->penalty > 0 && kpirl_mpc_can_be_elastic(core, row);
+}
 int kpirl_mpc_has_elastic(const kpirl_mpc_core *core); /* is there one that could be? */
 void kpirl_mpc_measure_rows(kpirl_mpc_core *core); /* before elastic mode begins */
 int kpirl_mpc_too_heavy(kpirl_mpc_core *core, const real *multipliers, int first, int count); /* of rows from the first on */
