@@ -39,18 +39,19 @@ static int coupled(const real *H, int n_s, int n, int *first) {
 
 /* values (n_x) += the diagonal of |F|' |H| |F| of what H (n, n) holds off its diagonal, of the first n_s rows and columns.
  * work: n_s (n_s + 2 n_x) numbers. */
-static void add_coupling(const real *F, int n_s, int n_x, const real *H, int n, real *work, real *values) {
+static void add_coupling(const real *F, int n_s, int n_x, const real *H, int n, real *restrict work, real *restrict values) {
   int i, k, first;
   const int count = coupled(H, n_s, n, &first) - first;
-  real *absolute_H = work, *absolute_F = absolute_H + count * count, *product = absolute_F + count * n_x;
+  real *absolute_H = work, *rows = absolute_H + count * count, *product = rows + n_x * count; /* |F|' of these rows */
   if (count <= 0) return;
   absolute_rows(H + first * (n + 1), n, count, count, absolute_H);
   for (i = 0; i < count; ++i) absolute_H[i * (count + 1)] = 0;
-  absolute_rows(F + first, n_s, n_x, count, absolute_F);
-  memset(product, 0, (size_t)(count * n_x) * sizeof(real));
-  kpirl_mpc_times(absolute_H, count, count, absolute_F, n_x, product);
-  for (i = 0; i < n_x; ++i)
-    for (k = 0; k < count; ++k) values[i] += absolute_F[i * count + k] * product[i * count + k];
+  for (k = 0; k < count; ++k)
+    for (i = 0; i < n_x; ++i) rows[i + k * n_x] = kpirl_mpc_abs(F[first + k + i * n_s]);
+  memset(product, 0, (size_t)(n_x * count) * sizeof(real));
+  kpirl_mpc_times(rows, n_x, count, absolute_H, count, product);
+  for (k = 0; k < count; ++k)
+    for (i = 0; i < n_x; ++i) values[i] += rows[i + k * n_x] * product[i + k * n_x];
 }
 
 /* The same of the diagonal of H. work: n_s (n_x + 1) numbers. */
