@@ -12,7 +12,7 @@ What is computed from what stays as CasADi has it.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 
 from kpirl_ocp.ocp.codegen.rewriting.copy_elision import FUNCTION
@@ -56,20 +56,23 @@ def _joined(function: str) -> str:
     steps: list[_Step] = []
     for step in map(_read, function.splitlines()):
         _add(steps, step)
-    return "".join(f"{line}\n" for i, step in enumerate(steps) for line in _written(step, function, steps[i + 1 :]))
+    last = {name: i for i, step in enumerate(steps) for name in step.names}
+    later = [{name for name in step.names if last[name] > i} for i, step in enumerate(steps)]
+    return "".join(f"{line}\n" for i, step in enumerate(steps) for line in _written(step, function, later[i]))
 
 
 def _add(steps: list[_Step], step: _Step) -> None:
     """Append a step, or join a loop with the last one of its length: there, or else here."""
-    alike = [i for i, earlier in enumerate(steps) if step.length and earlier.length == step.length]
-    if alike:
-        earlier, between = steps[alike[-1]], steps[alike[-1] + 1 :]
+    alike = (i for i in reversed(range(len(steps))) if steps[i].length == step.length)
+    at = next(alike, None) if step.length else None
+    if at is not None:
+        earlier, between = steps[at], steps[at + 1 :]
         both = _Step(earlier.lines + step.lines, earlier.names | step.names, earlier.writes | step.writes, step.length)
         if all(map(step.commutes, between)):
-            steps[alike[-1]] = both
+            steps[at] = both
             return
         if all(map(earlier.commutes, between)):
-            steps[alike[-1] :] = [*between, both]
+            steps[at:] = [*between, both]
             return
     steps.append(step)
 
@@ -87,8 +90,8 @@ def _read(line: str) -> _Step:
     return _Step([line], names, {found[1] or found[2]} if found else set())
 
 
-def _written(step: _Step, function: str, later: Sequence[_Step]) -> Iterator[str]:
-    """Its lines. Entries of the work vector that no later step mentions stay numbers."""
+def _written(step: _Step, function: str, later: Set[str]) -> Iterator[str]:
+    """Its lines. Entries of the work vector stay numbers, but for those that a later step mentions."""
     if step.length is None:
         yield from step.lines
         return
@@ -104,6 +107,6 @@ def _written(step: _Step, function: str, later: Sequence[_Step]) -> Iterator[str
     yield f"    casadi_real {', '.join(names)};"
     yield from (f"    {line}" for line in step.lines)
     for name in computed:
-        if f"*{name}=w+" not in function or any(name in other.names for other in later):
+        if f"*{name}=w+" not in function or name in later:
             yield f"    {name}[i] = entry_{name};"
     yield "  }"
