@@ -84,14 +84,13 @@ docs: .venv/installed-docs
 	@echo "open out/site/index.html"
 
 # Modules are compiled once, not by each of hundreds of processes, even where Python is told to write no bytecode.
-# The two processes of the tests have one thread each.
+# The two processes of the tests have one thread each. Types are checked beside them: what is wrong with types is said last.
 test: export PYTHONDONTWRITEBYTECODE =
 test: export OPENCV_FOR_THREADS_NUM = 1
 test: .venv/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/pytest -n 2
+	$(BIN)/mypy > .venv/types & $(BIN)/pytest -n 2; tests=$$?; wait $$!; types=$$?; cat .venv/types; exit $$((tests + types))
 
 # The C sources as well: the core is built anew after a pull that changes them.
 .venv/installed: pyproject.toml constraints.txt setup.py $(wildcard $(addsuffix /*.[ch],\
