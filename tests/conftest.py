@@ -1,7 +1,9 @@
 """Processes that tests start import the package that the tests import, be it this clone's or an installed one, and are
 ended by Ctrl-C, even if the tests themselves were started with interrupts ignored, as `nohup make test &` does. The
-name of a test is the same in every process: workers in parallel must collect the same names."""
+name of a test is the same in every process: workers in parallel must collect the same names. Garbage is searched for as
+in commands of the package: less often than Python would, and not before the end."""
 
+import atexit
 import gc
 import os
 import re
@@ -16,6 +18,8 @@ import kpirl_ocp
 
 os.environ["PYTHONPATH"] = str(Path(kpirl_ocp.__file__).parents[1])
 signal.signal(signal.SIGINT, signal.default_int_handler)
+gc.set_threshold(10_000, 20, 20)
+atexit.register(gc.freeze)
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +61,5 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """What was imported lives as long as the tests: the search for garbage passes it by, and comes less often."""
+    """What was imported lives as long as the tests: the search for garbage passes it by."""
     gc.freeze()
-    gc.set_threshold(10_000, 20, 20)
