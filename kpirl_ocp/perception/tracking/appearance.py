@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -75,13 +76,19 @@ class Memory(NamedTuple):
 
 def sample(view: NDArray[np.uint8], points: Array, pose: Array, radius: int) -> Array:
     """Values (n, m) of a view (H, W) on grids around points (n, 2), turned and scaled by a pose (3, 3)."""
-    axis = np.linspace(-radius, radius, _ACROSS)
-    grid = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2) @ pose[:2, :2].T
+    grid = _grid(radius) @ pose[:2, :2].T
     places = (points[:, None] + grid).astype(np.float32)
     if not len(points):
         return np.zeros((0, len(grid)))
     sampled = cv2.remap(view, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(sampled, float).reshape(len(points), -1)
+
+
+@lru_cache(maxsize=8)
+def _grid(radius: int) -> Array:
+    """Places (m, 2) of the values around a point."""
+    axis = np.linspace(-radius, radius, _ACROSS)
+    return np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
 
 
 def correlation(one: Array, other: Array) -> Array:
