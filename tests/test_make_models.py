@@ -41,6 +41,7 @@ def made(tmp_path_factory):
     programs, models = tmp_path_factory.mktemp("bin"), tmp_path_factory.mktemp("out") / "models"
     tiny = {
         "scripts/collect_data.py": ["--episodes", "2", "--jobs", "1"],
+        "sines": ["--steps", "10"],
         "hand-placing": ["--seconds", "1.2"],
         "hand-wandering": ["--seconds", "1.2"],
         # On from a good one: a detector that learned for two steps is rejected, which ends the recipe.
