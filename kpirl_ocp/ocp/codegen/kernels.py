@@ -11,6 +11,7 @@ which is exact to two units in the last place.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 
 from kpirl_ocp.ocp.codegen.array_kernels import COPY, LARGER, LARGEST, LEAST, SMALLER, TANH
 from kpirl_ocp.ocp.codegen.rewriting.certain_calls import with_certain_calls
@@ -61,8 +62,7 @@ static INLINE void kernel_@kind@_panel(const int columns, const int most, const 
 #endif
 #define TILE(h) if (h <= most && h >= vectors / tiles && h <= vectors / tiles + 1 && h == height) \
       kernel_@kind@(h, columns, CHAINS(h), x, nrow_x, ncol_x, y, start, z, first, end);
-    TILE(1) TILE(2) TILE(3) TILE(4) TILE(5) TILE(6) TILE(7) TILE(8) TILE(9) TILE(10) TILE(11) TILE(12) TILE(13)
-    TILE(14) TILE(15) TILE(16) TILE(17) TILE(18) TILE(19) TILE(20) TILE(21) TILE(22) TILE(23) TILE(24) TILE(25)
+    @heights of @kind@s@
 #undef TILE
 #undef CHAINS
     first = end;
@@ -73,13 +73,9 @@ static INLINE void kernel_@kind@_panel(const int columns, const int most, const 
 
 _KERNEL = r"""
 #if defined(__AVX512F__)
-#define TILE_LANES 8
-#define TILE_VECTORS 4
-#define HALF_VECTORS 25
+@wide@
 #else
-#define TILE_LANES 4
-#define TILE_VECTORS 2
-#define HALF_VECTORS 4
+@narrow@
 #endif
 #define HALF_LANES 4
 #define MOST_VECTORS 25
@@ -192,7 +188,9 @@ static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_
     const casadi_real* y, casadi_int ncol_y, casadi_real* z, casadi_int tr) {
   casadi_int i, j, k;
   if (!tr) {
-    kernel_mtimes_from(x, nrow_x, ncol_x, y, ncol_y, z, z);
+    for (i = 0; i < ncol_y; ++i)
+      for (k = 0; k < ncol_x; ++k)
+        for (j = 0; j < nrow_x; ++j) z[j + i * nrow_x] += x[j + k * nrow_x] * y[k + i * ncol_x];
     return;
   }
   for (i = 0; i < ncol_y; ++i)
@@ -202,9 +200,15 @@ static void casadi_mtimes_dense(const casadi_real* x, casadi_int nrow_x, casadi_
 """
 
 _KINDS = (("tile", "TILE_LANES"), ("half", "HALF_LANES"))
+_HALF = 4  # HALF_LANES
+_WIDTHS = {"@wide@": (8, 4, 25), "@narrow@": (4, 2, 4)}  # TILE_LANES, and the most TILE_VECTORS and HALF_VECTORS
 _PRODUCTS = _KERNEL.lstrip().replace(
     "@tiles@", "".join(_TILES.replace("@kind@", kind).replace("@lanes@", lanes) for kind, lanes in _KINDS)
 )
+for _name, _width in _WIDTHS.items():
+    _PRODUCTS = _PRODUCTS.replace(
+        _name, "#define TILE_LANES {}\n#define TILE_VECTORS {}\n#define HALF_VECTORS {}".format(*_width)
+    )
 _BODIES = {
     "void casadi_mtimes_dense": _PRODUCTS,
     "void casadi_copy": COPY,
@@ -251,11 +255,13 @@ def _with_products(source: str) -> str:
 def _by_shape(source: str) -> str:
     """With one function for each shape of a product, in which compilers know all sizes."""
     before, kernel, after = source.partition(_PRODUCTS)
-    functions = {}
+    functions, heights = {}, {kind: set[int]() for kind, _ in _KINDS}
 
     def shaped(found: re.Match[str]) -> str:
         x, rows, inner, y, columns, start, z = found.groups()
         name = f"kernel_mtimes_{rows}_{inner}_{columns}"
+        for kind, vectors in _tiles(int(rows), int(columns)):
+            heights[kind].add(vectors)
         functions[name] = f"""
 static void {name}(const casadi_real* x, const casadi_real* y, const casadi_real* start, casadi_real* z) {{
   kernel_mtimes_from(x, {rows}, {inner}, y, {columns}, start, z);
@@ -264,7 +270,27 @@ static void {name}(const casadi_real* x, const casadi_real* y, const casadi_real
         return f"{name}({x}, {y}, {start}, {z});"
 
     after = _PRODUCT.sub(shaped, _PLAIN.sub(r"kernel_mtimes_from(\1, \2, \2);", after))
+    assert "kernel_mtimes_from" not in after, "the shapes of products are numbers in generated C"
+    for kind, found in heights.items():
+        kernel = kernel.replace(f"@heights of {kind}s@", " ".join(f"TILE({height})" for height in sorted(found)))
     return "".join([before, kernel, *functions.values(), after])
+
+
+def _tiles(rows: int, columns: int) -> Iterator[tuple[str, int]]:
+    """Kinds and heights [vectors] of the tiles of a product in `kernel_mtimes_from`, with vectors of either width."""
+    rest = columns % 5
+    for lanes, tall, half in _WIDTHS.values():
+        if rows < lanes:
+            continue
+        panels = [("tile", lanes, tall)] * (columns >= 5 or rest in (3, 4))
+        if rest == 2 or (rest == 1 and rows % lanes == 0):
+            panels.append(("tile", lanes, 2 * tall))
+        elif rest == 1:
+            panels.append(("half", _HALF, half))
+        for kind, length, most in panels:
+            vectors = -(-rows // length)
+            tiles = -(-vectors // most)
+            yield from ((kind, vectors * (t + 1) // tiles - vectors * t // tiles) for t in range(tiles))
 
 
 def _begin_with(text: str, source: str) -> str:
