@@ -53,16 +53,19 @@ static INLINE void kernel_@kind@_panel(const int columns, const int most, const 
   const casadi_int vectors = (nrow_x + @lanes@ - 1) / @lanes@, tiles = (vectors + most - 1) / most;
   casadi_int first = 0, t;
   for (t = 0; t < tiles; ++t) {
-    casadi_int height = vectors * (t + 1) / tiles - vectors * t / tiles;
+    casadi_int height = vectors * (t + 1) / tiles - vectors * t / tiles, known = 0;
     casadi_int end = t < tiles - 1 ? first + height * @lanes@ : nrow_x;
 #ifdef KERNEL_IN_ORDER
 #define CHAINS(h) 1
 #else
 #define CHAINS(h) (columns > 1 ? 1 : h > 4 ? 1 : h > 2 ? 2 : 4)
 #endif
-#define TILE(h) if (h <= most && h >= vectors / tiles && h <= vectors / tiles + 1 && h == height) \
-      kernel_@kind@(h, columns, CHAINS(h), x, nrow_x, ncol_x, y, start, z, first, end);
+#define TILE(h) if (h <= most && h >= vectors / tiles && h <= vectors / tiles + 1 && h == height) { \
+      kernel_@kind@(h, columns, CHAINS(h), x, nrow_x, ncol_x, y, start, z, first, end); \
+      known = 1; \
+    }
     @heights of @kind@s@
+    if (!known) __builtin_trap(); /* a height that `_tiles` does not know */
 #undef TILE
 #undef CHAINS
     first = end;
