@@ -52,7 +52,12 @@ def forget_gradient_steps():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup():
-    """One thread of torch, which a command of an earlier test may have set to two: they wait for each other, busily."""
+    """What earlier tests have left behind is undone.
+
+    A command may have set two threads of torch, which wait for each other, busily. A cluster of Dask leaves a variable
+    for which later processes give memory back to the system again and again, a sixth of the reproduction's time.
+    """
+    os.environ.pop("MALLOC_TRIM_THRESHOLD_", None)
     if torch := sys.modules.get("torch"):
         torch.set_num_threads(1)
 
