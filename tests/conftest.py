@@ -1,8 +1,8 @@
 """Processes that tests start import the package that the tests import, be it this clone's or an installed one, and are
 ended by Ctrl-C, even if the tests themselves were started with interrupts ignored, as `nohup make test &` does. The
 name of a test is the same in every process: workers in parallel must collect the same names. Garbage is searched for as
-in commands of the package: less often than Python would, and not before the end. JAX, whose
-numbers ours are compared with, compiles without optimisation, as it calls each of its functions a few times."""
+in commands of the package: less often than Python would, and not before the end. JAX, whose numbers ours are compared
+with, compiles without optimisation, as it calls each of its functions a few times."""
 
 import atexit
 import gc

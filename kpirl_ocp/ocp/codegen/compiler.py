@@ -49,7 +49,10 @@ def compiled(function: ca.Function) -> ca.Function:
 
 
 def compile_all(functions: Sequence[ca.Function]) -> list[ca.Function]:
-    """Several functions as machine code, their common parts compiled once; without a C compiler, as they are."""
+    """Several functions as machine code, their common parts compiled once; without a C compiler, as they are.
+
+    Results must overlap neither each other nor the arguments (`kpirl_ocp.ocp.codegen.rewriting.copy_elision`).
+    """
     command = compiler()
     if command is None:
         return list(functions)

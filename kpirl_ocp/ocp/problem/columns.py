@@ -83,7 +83,7 @@ def map_shared(function: ca.Function, steps: int, inputs: Sequence[ca.MX], add: 
 def in_blocks(function: Callable[..., Sequence[ca.MX]], inputs: Sequence[ca.MX]) -> list[ca.MX]:
     """The outputs, side by side, of a function of any number of columns, for some columns of all inputs at a time.
 
-    Its inputs, outputs and everything in between has a column for each, so that the order of evaluation is free.
+    Inputs, outputs and all in between have a column for each, so that the order of evaluation is free.
     """
     columns = inputs[0].size2()
     width = next((n for n in range(_TOGETHER, _TOGETHER // 2, -1) if columns % n == 0), _TOGETHER)

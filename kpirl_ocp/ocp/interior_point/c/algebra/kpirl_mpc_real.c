@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 #include "kpirl_mpc_real.h"
 
-enum { LANES = 8, MANY = 32 }; /* independent partial results, which compilers keep in vectors; MANY hide their latency */
+enum { LANES = 8, MANY = 32 }; /* independent partial results, which compilers keep in vectors; MANY, in a loop of several */
 
 int kpirl_mpc_all_finite(const real *values, int count) {
   real zero[MANY] = {0}, sum = 0; /* x - x is NaN unless x is finite */
@@ -65,6 +65,16 @@ real kpirl_mpc_norm_2(const real *values, int count) { return kpirl_mpc_sqrt(kpi
 void kpirl_mpc_axpy(real factor, const real *restrict x, int count, real *restrict y) {
   int i;
   for (i = 0; i < count; ++i) y[i] += factor * x[i];
+}
+
+real kpirl_mpc_largest_fall(const real *value, const real *change, int count, real least) {
+  real most[MANY] = {0};
+  int i = 0, k;
+  for (; i + MANY <= count; i += MANY)
+    for (k = 0; k < MANY; ++k) most[k] = kpirl_mpc_max(-change[i + k] / value[i + k], most[k]);
+  for (k = 0; i > 0 && k < MANY; ++k) least = kpirl_mpc_max(most[k], least);
+  for (; i < count; ++i) least = kpirl_mpc_max(-change[i] / value[i], least);
+  return least;
 }
 
 static const real SMALL = (real)1e-15, LARGE = (real)1e15; /* numbers whose products are still normal in single precision */

@@ -38,5 +38,7 @@ real kpirl_mpc_absolute_dot(const real *a, const real *b, int count); /* of abso
 real kpirl_mpc_norm_2(const real *values, int count);                 /* Euclidean */
 void kpirl_mpc_axpy(real factor, const real *x, int count, real *y); /* y += factor x */
 real kpirl_mpc_log_sum(const real *values, int count);               /* of logarithms */
+/* The largest -change / value, or `least` where that is larger; those that are NaN do not count. */
+real kpirl_mpc_largest_fall(const real *value, const real *change, int count, real least);
 
 #endif

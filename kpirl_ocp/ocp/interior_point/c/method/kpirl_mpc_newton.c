@@ -15,7 +15,6 @@
 
 #include <string.h>
 
-enum { LANES = 32 }; /* independent partial results: so many that compilers make a loop of vectors */
 static const real ROUNDING = 1000 * KPIRL_MPC_EPSILON; /* the smallest share of a slack or multiplier that a step leaves */
 
 /* ---- the linear-quadratic problem --------------------------------------------------------------------------- */
@@ -176,13 +175,7 @@ void kpirl_mpc_step_to_target(kpirl_mpc_core *core, kpirl_mpc_iterate *change) {
 
 /* The longest step in (0, 1] that keeps value + length * change at least (1 - share) value; value > 0. */
 real kpirl_mpc_longest(const real *value, const real *change, int count, real share) {
-  real largest[LANES] = {0}, most = share;
-  int i = 0, k;
-  for (; i + LANES <= count; i += LANES)
-    for (k = 0; k < LANES; ++k) largest[k] = kpirl_mpc_max(-change[i + k] / value[i + k], largest[k]);
-  for (; i < count; ++i) most = kpirl_mpc_max(-change[i] / value[i], most);
-  for (k = 0; k < LANES; ++k) most = kpirl_mpc_max(largest[k], most);
-  return kpirl_mpc_min(1, share / most);
+  return kpirl_mpc_min(1, share / kpirl_mpc_largest_fall(value, change, count, share));
 }
 
 /* ---- steps -------------------------------------------------------------------------------------------------- */
