@@ -117,7 +117,7 @@ class Unrolled(Brief):
         psi: ArrayLike,
         guesses: Sequence[Guess] | None = None,
     ) -> list[HypergradientResult]:
-        """One result per demonstration, up to five computed together: by products of matrices, not of matrix and vector.
+        """One result per demonstration, up to five computed together, by products of matrices.
 
         guesses: initial guesses, one per demonstration; None starts all from zero actions.
         """
