@@ -145,11 +145,11 @@ def play(
     condition: Condition,
     rng: np.random.Generator,
 ) -> tuple[Execution, CameraPlant]:
-    """Run a learned cost on the simulated arm."""
+    """Run a learned cost on the simulated arm, from `joints` or the nearest within the limits."""
     dynamics = _exaggerated(models.load_dynamics("placing"), condition.model_gain)
     controller = KeypointController.build(dynamics, unpacked(learned), closed_loop, condition.confidence)
     with Scene(rate=RATE) as scene:
-        scene.reset(joints)
+        scene.reset(np.clip(joints, *scene.joint_limits))
         kind = AsynchronousPlant if condition.asynchronous else CameraPlant
         plant = kind(scene, models.load_detector(), condition.disturbance, rng)
         return controller.run(plant, setup.demonstration.context), plant

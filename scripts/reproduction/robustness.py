@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from kpirl_ocp.perception.plant.camera_plant import Disturbance
-from kpirl_ocp.perception.scene.scene import Scene
 from reproduction.contenders import DEFAULT_MORE_STEPS, MORE_STEPS, Contender, in_a_name
 from reproduction.data import Models
 from reproduction.placing import SUCCESS, Condition, Setup, name_of, play, scores
@@ -76,12 +75,10 @@ def run(
 ) -> Result:
     """Distances of the bottle from its goal (cases,) [pixels]; success is SUCCESS or less."""
     distances, squared = [], []
-    with Scene() as scene:
-        limits = scene.joint_limits
     for case, (setup, cost) in enumerate(zip(setups, learned, strict=True)):
         rng = np.random.default_rng([case, 11])
         spread = _FAR if far else _NEAR
-        joints = np.clip(setup.joints[0] + _IN_PLANE * rng.uniform(-spread, spread, 7), *limits)
+        joints = setup.joints[0] + _IN_PLANE * rng.uniform(-spread, spread, 7)
         done, plant = play(models, cost, joints, setup, closed_loop, condition, rng)
         found = scores(done, plant, setup)
         distances.append(found["bottle"])

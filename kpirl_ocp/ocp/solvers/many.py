@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
 from _thread import start_new_thread
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import partial
-from itertools import chain
+from itertools import chain, pairwise, starmap
 from operator import itemgetter
 from queue import SimpleQueue
 from typing import Any, TypeVar
@@ -128,10 +129,13 @@ def _one_by_one(
 def in_groups(function: Callable[[slice], list[R]], count: int, threads: int | None) -> list[R]:
     """The results of a function that has one for each of a slice of `count`, in groups that threads share, in order.
 
-    One call into C does the work of a group: each return from C waits for the interpreter's lock.
+    One call into C does the work of a group: each return from C waits for the interpreter's lock. No group is larger
+    than a thread's share of what is left, so that all threads end at about the same time.
     """
-    size = max(1, min(_GROUP, count // (threads or os.cpu_count() or 1)))
-    groups = [slice(begin, begin + size) for begin in range(0, count, size)]
+    sharing, ends = max(1, threads or os.cpu_count() or 1), [0]
+    while (left := count - ends[-1]) > 0:
+        ends.append(ends[-1] + min(_GROUP, math.ceil(left / sharing)))
+    groups = list(starmap(slice, pairwise(ends)))
     return list(chain.from_iterable(side_by_side(function, groups, threads=threads)))
 
 

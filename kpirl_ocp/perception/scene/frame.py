@@ -22,4 +22,4 @@ class Frame(Brief):
     rgb: NDArray[np.uint8]
     bottle: Mask
     place: Array
-    parts: NDArray[np.int64] | None = None
+    parts: NDArray[np.int32] | None = None

@@ -78,9 +78,7 @@ class World:
             renderer=pybullet.ER_TINY_RENDERER,
             flags=pybullet.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
         )
-        shape = (camera.height, camera.width)
-        labels = np.array(labels, dtype=np.int64).reshape(shape)
-        # A label is body + (link + 1) * 2^24; -1 is the background.
-        bottle = (labels >= 0) & (labels & 0xFFFFFF == body) & ((labels >> 24) - 1 == link)
-        rgb = np.array(rgba, dtype=np.uint8).reshape(*shape, 4)[..., :3].copy()
-        return Frame(rgb, bottle, camera.project(position), labels)
+        parts = np.asarray(labels, np.int32).reshape(camera.height, camera.width)
+        bottle = parts == body + ((link + 1) << 24)  # as PyBullet numbers links
+        rgb = np.asarray(rgba, np.uint8).reshape(*parts.shape, 4)[..., :3].copy()
+        return Frame(rgb, bottle, camera.project(position), parts)
