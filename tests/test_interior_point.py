@@ -248,6 +248,38 @@ def test_running_cost_as_a_state_costs_no_more_iterations_than_as_stage_costs():
     assert first.iterations <= second.iterations + 3
 
 
+def crane(place, rope, **cost):
+    """A gantry crane's hanging load, moved to 0 at a rope of 5 m and at rest there: place [m], rope [m], duration [s]."""
+    s, u, duration = ca.SX.sym("s", 6), ca.SX.sym("u", 2), ca.SX.sym("duration")  # place, rope and angle, and their rates
+    step = duration / 40
+    swing = -(9.81 * ca.sin(s[2]) + u[0] * ca.cos(s[2]) + 2 * s[4] * s[5]) / s[1]
+    rates = ca.Function("rates", [s, u], [ca.vertcat(s[3:], u, swing)])
+    middle = s + step / 2 * rates(s, u)
+    problem = OCP.from_expressions(
+        state=s,
+        action=u,
+        static=duration,
+        static_bounds=(1, 60),
+        horizon=40,
+        dynamics=s + step * rates(middle, u),
+        action_bounds=([-1, -0.5], [1, 0.5]),
+        state_bounds=([-np.inf, 1, -0.3, -3, -1, -np.inf], [np.inf, 20, 0.3, 3, 1, np.inf]),
+        terminal_equality=s - ca.DM([0, 5, 0, 0, 0, 0]),
+        **{name: share * duration for name, share in cost.items()},
+    )
+    return Riccati().solve(problem, [place, rope, 0, 0, 0, 0])
+
+
+@pytest.mark.parametrize("place", [-15, 3, 10])
+@pytest.mark.parametrize("rope", [2, 12])
+def test_a_free_final_time_counts_the_same_by_stages_and_at_the_end(place, rope):
+    """Its slope at one stage is a fortieth, which is no measure of what the barrier is to weigh at the start."""
+    by_stages, at_end = crane(place, rope, stage_cost=1 / 40), crane(place, rope, terminal_cost=1)
+    assert by_stages.status is at_end.status is Status.CONVERGED
+    assert by_stages.objective == pytest.approx(at_end.objective, rel=1e-7)
+    assert by_stages.iterations <= 2 * at_end.iterations
+
+
 @pytest.mark.parametrize("scale", [1e-5, 1e-6, 1e-7, 1e-8])
 @pytest.mark.parametrize("horizon", [20, 50])
 def test_a_start_that_follows_the_dynamics_is_not_taken_for_the_floor_of_rounding(scale, horizon):

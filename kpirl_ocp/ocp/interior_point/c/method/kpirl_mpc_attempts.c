@@ -45,6 +45,11 @@ static void begin_warm(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   kpirl_mpc_begin_here(core, tau);
 }
 
+/* For the start of tau: with F where something is free at the start. */
+static void differentiate_at_start(kpirl_mpc_core *core) {
+  kpirl_mpc_differentiate(core, core->bounds.n_free > 0 ? KPIRL_MPC_SECOND : KPIRL_MPC_FIRST);
+}
+
 /* From the trajectory of the start, without costates; with light multipliers, see kpirl_mpc_begin_lightly. */
 static void begin_cold(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
   const real barrier = (real)core->options.barrier;
@@ -54,7 +59,7 @@ static void begin_cold(kpirl_mpc_core *core, const kpirl_mpc_start *start) {
     kpirl_mpc_begin_here(core, barrier);
     return;
   }
-  kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
+  differentiate_at_start(core);
   kpirl_mpc_begin_lightly(core, kpirl_mpc_start_tau(core));
 }
 
@@ -119,7 +124,7 @@ static int roll_guess_out(kpirl_mpc_core *core, const kpirl_mpc_start *guess, kp
 static void begin_again(kpirl_mpc_core *core) {
   memset(core->at.costates, 0, (size_t)(DIM(core, horizon) * DIM(core, n_states)) * sizeof(real));
   core->no_costates = 1;
-  kpirl_mpc_differentiate(core, KPIRL_MPC_FIRST);
+  differentiate_at_start(core);
   kpirl_mpc_begin_here(core, kpirl_mpc_start_tau(core));
 }
 

@@ -103,28 +103,40 @@ void kpirl_mpc_warm_start(kpirl_mpc_core *core, const kpirl_mpc_start *start, re
   }
 }
 
-/* The largest slope of the objective by a free entry of s_0, through the dynamics: a static decision counts at all stages. */
-static real slope_by_free_start(const kpirl_mpc_core *core) {
+/* Does entry i of the state stay what it is in a stage's linearised dynamics? */
+static int stays(const real *F, int n_s, int n_x, int i) {
+  int j;
+  for (j = 0; j < n_x; ++j)
+    if (F[i + j * n_s] != (j == i)) return 0;
+  return 1;
+}
+
+/* The slope of the objective by an entry of the state that never changes: the sum over the stages; 0 of any other. */
+static real slope_by_static(const kpirl_mpc_core *core, int i) {
   const int T = DIM(core, horizon), n_s = DIM(core, n_states), n_x = n_s + DIM(core, n_actions);
-  real *after = core->scratch, *slope = after + n_s, largest = 0;
-  int t, i;
-  if (core->bounds.n_free == 0) return 0;
-  memcpy(slope, core->d.cost_gradient + T * n_x, (size_t)n_s * sizeof(real));
-  for (t = T - 1; t >= 0; --t) {
-    memcpy(after, slope, (size_t)n_s * sizeof(real));
-    memcpy(slope, core->d.cost_gradient + t * n_x, (size_t)n_s * sizeof(real));
-    kpirl_mpc_transposed_times_vector(core->d.F + t * n_s * n_x, n_s, n_s, after, slope);
+  real slope = core->d.cost_gradient[T * n_x + i];
+  int t;
+  for (t = 0; t < T; ++t) {
+    if (!stays(core->d.F + t * n_s * n_x, n_s, n_x, i)) return 0;
+    slope += core->d.cost_gradient[t * n_x + i];
   }
+  return slope;
+}
+
+/* The largest slope of the objective by a state, an action, or a static decision, which is free at the start and then stays. */
+static real largest_slope(const kpirl_mpc_core *core) {
+  const int n_s = DIM(core, n_states);
+  real largest = kpirl_mpc_norm_inf(core->d.cost_gradient + n_s, kpirl_mpc_n_point(core) - n_s);
+  int i;
   for (i = 0; i < core->bounds.n_free; ++i)
-    largest = kpirl_mpc_max(largest, kpirl_mpc_abs(slope[core->bounds.free_entries[i]]));
+    largest = kpirl_mpc_max(largest, kpirl_mpc_abs(slope_by_static(core, core->bounds.free_entries[i])));
   return largest;
 }
 
 /* Where the barrier weighs as a share of the objective: its gradient times the harmonic mean of the slacks. */
 real kpirl_mpc_start_tau(const kpirl_mpc_core *core) {
-  const int n_w = kpirl_mpc_n_point(core), n_s = DIM(core, n_states), m = kpirl_mpc_n_inequalities(core);
-  const real by_stage = kpirl_mpc_norm_inf(core->d.cost_gradient + n_s, n_w - n_s), by_start = slope_by_free_start(core);
-  const real gradient = by_start <= LARGEST * by_stage ? kpirl_mpc_max(by_stage, by_start) : by_stage;
+  const int m = kpirl_mpc_n_inequalities(core);
+  const real gradient = largest_slope(core);
   real inverse = 0;
   int i;
   for (i = 0; i < m; ++i) inverse += 1 / core->at.y[i];
