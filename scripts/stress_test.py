@@ -2,8 +2,9 @@
 
 The certificate contest generates cases whose hypergradient, or lack of one, is known without the package; no wrong
 one may be certified. Peers answer the same cases. Solvers' statuses are confirmed independently. `Riccati` and Ipopt
-start from the same noise, in the same odd units, and between the same obstacles. One process solves very often, and
-very many problems. Long work is killed at random moments and started again until it has ended.
+start from the same noise, in the same odd units, between the same obstacles, and cold towards a free final time. One
+process solves very often, and very many problems. Long work is killed at random moments and started again until it has
+ended.
 """
 
 import sys
@@ -15,7 +16,7 @@ from kpirl_ocp.cli.values import directory, one_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # where cases are
 PROFILES = ("full", "quick")
-PARTS = ("certificates", "peers", "statuses", "starts", "units", "obstacles", "lives", "kills")
+PARTS = ("certificates", "peers", "statuses", "starts", "units", "obstacles", "times", "lives", "kills")
 
 
 def add_options(parser: Parser) -> None:

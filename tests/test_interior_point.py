@@ -249,8 +249,8 @@ def test_running_cost_as_a_state_costs_no_more_iterations_than_as_stage_costs():
 
 
 def crane(place, rope, **cost):
-    """A gantry crane's hanging load, moved to 0 at a rope of 5 m and at rest there: place [m], rope [m], duration [s]."""
-    s, u, duration = ca.SX.sym("s", 6), ca.SX.sym("u", 2), ca.SX.sym("duration")  # place, rope and angle, and their rates
+    """The load of a gantry crane, moved from `place` [m] at a rope of `rope` [m] to 0 and 5 m, from rest to rest."""
+    s, u, duration = ca.SX.sym("s", 6), ca.SX.sym("u", 2), ca.SX.sym("duration")  # place, rope, angle; their rates
     step = duration / 40
     swing = -(9.81 * ca.sin(s[2]) + u[0] * ca.cos(s[2]) + 2 * s[4] * s[5]) / s[1]
     rates = ca.Function("rates", [s, u], [ca.vertcat(s[3:], u, swing)])

@@ -23,7 +23,7 @@ from stress.peers import casadi_sensitivities
 from stress.peers.program import Program
 from stress.peers.rates import Answer, answer
 from stress.settings import PROFILES
-from stress.starts import board, obstacles
+from stress.starts import board, minimum_time, obstacles
 from stress.starts.systems import SYSTEMS
 from stress.statuses import confirmed
 
@@ -223,6 +223,16 @@ def test_a_way_between_obstacles_is_found(unicycle, straight):
         problem, s0, psi, context, guess = obstacles.start(unicycle, straight, seed)
         found = Riccati().solve(problem, s0, psi, context, guess).raise_if_failed()
         assert audit(problem, psi, context, found.trajectory, found.multipliers).worst <= 1e-8
+
+
+@pytest.mark.parametrize("name", ["quadrotor in a plane", "crane"])
+def test_a_shortest_time_is_found_from_a_cold_start(name):
+    for seed in range(3):
+        problem, s0, psi, context, guess = minimum_time.start(name, seed)
+        ours, theirs = (solver.solve(problem, s0, psi, context, guess) for solver in (Riccati(), Ipopt()))
+        assert ours.status is theirs.status is Status.CONVERGED
+        assert audit(problem, psi, context, ours.trajectory, ours.multipliers).worst <= 1e-8
+        assert ours.objective == pytest.approx(problem.static_of(ours)[0], rel=1e-9)
 
 
 @pytest.mark.parametrize("seed", [16, 23, 35])

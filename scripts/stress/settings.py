@@ -10,7 +10,7 @@ class Profile:
     kills: of each program; every_program: also of those that take long.
     solves, problems: in one process. statuses: random problems.
     starts: noisy ones of each system. units: draws of each classic problem.
-    obstacles: draws for each vehicle and guess.
+    obstacles: draws for each vehicle and guess. times: draws of each problem of a free final time.
     """
 
     cases: int
@@ -24,6 +24,7 @@ class Profile:
     starts: int
     units: int
     obstacles: int
+    times: int
 
 
 PROFILES = {
@@ -39,6 +40,7 @@ PROFILES = {
         starts=1,
         units=1,
         obstacles=2,
+        times=1,
     ),
     "full": Profile(
         cases=10_000,
@@ -52,5 +54,6 @@ PROFILES = {
         starts=20,
         units=10,
         obstacles=40,
+        times=40,
     ),
 }

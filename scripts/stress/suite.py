@@ -19,7 +19,7 @@ from stress.kills import campaign
 from stress.lives import memory
 from stress.peers import rates
 from stress.settings import PROFILES
-from stress.starts import board, obstacles, units
+from stress.starts import board, minimum_time, obstacles, units
 from stress.statuses import confirmed
 
 PARTS = {
@@ -29,6 +29,7 @@ PARTS = {
     "starts": board.measure,
     "units": units.measure,
     "obstacles": obstacles.measure,
+    "times": minimum_time.measure,
     "lives": memory.measure,
     "kills": campaign.measure,
 }
