@@ -69,6 +69,9 @@ _PREAMBLE = f"""{LICENCE}
 /* gcc 12 at -O3 follows copies from NULL, which write zeros, into places where their source is never NULL. */
 #if defined(__GNUC__) && !defined(__clang__)
 #pragma GCC diagnostic ignored "-Wstringop-overflow"
+#if __GNUC__ >= 12 /* it warns of the addresses of numbers that are handed to a function for one call */
+#pragma GCC diagnostic ignored "-Wdangling-pointer"
+#endif
 #endif
 
 """
