@@ -10,6 +10,7 @@ import os
 import re
 import signal
 import sys
+import tempfile
 from importlib import import_module
 from pathlib import Path
 
@@ -18,6 +19,9 @@ import pytest
 import kpirl_ocp
 
 os.environ["PYTHONPATH"] = str(Path(kpirl_ocp.__file__).parents[1])
+if "KPIRL_TEST_OBJECTS" not in os.environ:  # a directory for all processes of the tests, as long as the first one lives
+    object_files = tempfile.TemporaryDirectory()
+    os.environ["KPIRL_TEST_OBJECTS"] = object_files.name
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
 signal.signal(signal.SIGINT, signal.default_int_handler)
 gc.set_threshold(10_000, 20, 20)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
 import pytest
+from object_files import library_of, objects_of, silent
 from problems import TABLE, Case
 
-from kpirl_ocp.ocp.export import export_c
+from kpirl_ocp.ocp.export import ExportedSolver, export_c, exported_solver
 
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Werror")
 STRICT = ("-std=c99", "-O1", *WARNINGS)
@@ -37,26 +38,20 @@ def folder(name: str, solver, prefix: str = "kpirl_mpc") -> tuple[Path, Case]:
 def built(out: Path, source: Path, *flags: str, compiler: str = "gcc", suffix: str = "*.c") -> str:
     """What a program made of a source and a folder prints; its compiler must be silent."""
     program = out / f"{source.stem}.out"
-    command = (compiler, *flags, f"-I{out}")
-    objects = [object_of(command, path) for path in (source, *sorted(out.glob(suffix)))]
-    _silent(*command, *objects, "-o", str(program), "-lm", "-lpthread")
+    objects = objects_of((compiler, *flags), out, suffix)
+    silent(compiler, *flags, f"-I{out}", str(source), *objects, "-o", str(program), "-lm", "-lpthread")
     return ran(program)
 
 
-def object_of(command: tuple[str, ...], source: Path) -> str:
-    """The object file of a source; folders have many sources in common, down to their headers: each is made once."""
-    text = _silent(*command, "-E", "-P", str(source))
-    made = Path(_SCRATCH.name) / f"{hashlib.sha256(repr((command[:-1], text)).encode()).hexdigest()}.o"
-    if not made.exists():
-        _silent(*command, "-c", str(source), "-o", str(made))
-    return str(made)
+def loaded(out: Path, flags: tuple[str, ...] = PLAIN, compiler: str = "gcc") -> ExportedSolver:
+    """The solver of a folder, whose library is linked of objects that are made once."""
 
+    def linked(folder: Path, flags: Sequence[str], compiler: str, _: object) -> Path:
+        return library_of((compiler, *flags), folder)
 
-def _silent(*command: str) -> str:
-    """What a compiler writes to its output; it must succeed without a warning."""
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, ""), done.stderr[:3000]
-    return done.stdout
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exported_solver, "compile_folder", linked)
+        return ExportedSolver(out, flags, compiler)
 
 
 def ran(program: Path, *arguments: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from exported import COMPILERS, PLAIN, STRICT, folder
+from exported import COMPILERS, folder, loaded
 from problems import TABLE
 
 from kpirl_ocp import OCP, Fatrop, GradientDescent, Ipopt, Riccati, Status, Trajectory, Unrolled
@@ -29,10 +29,10 @@ SETTINGS = {
 
 def controller(name, solver=CONVERGED, compiler="gcc", **settings):
     out, case = folder(name, solver)
-    loaded = ExportedSolver(out, STRICT, compiler)
+    ours = loaded(out, compiler=compiler)
     if settings:
-        loaded.set(**settings)
-    return loaded, case
+        ours.set(**settings)
+    return ours, case
 
 
 def assert_same(ours, reference, tolerance=1e-9):
@@ -72,7 +72,7 @@ def test_gradient_descent_and_its_hypergradient_are_those_of_python(project, tmp
     case = TABLE["pendulum"]()
     problem = replace(case.problem, state_bounds=(-np.inf, np.inf)) if project else case.problem.unconstrained()
     solver, seen = GradientDescent(8, 0.02, project=project), case.demonstration
-    ours = ExportedSolver(export_c(problem, solver, tmp_path, psi=case.psi), STRICT)
+    ours = loaded(export_c(problem, solver, tmp_path, psi=case.psi))
     plan = ours.solve(problem, seen.s0, case.psi, seen.context)
     assert_same(plan, solver.solve(problem, seen.s0, case.psi, seen.context))
 
@@ -125,7 +125,7 @@ def test_a_plan_that_is_no_solution_has_no_gradient_to_be_believed():
 def test_sqp_is_that_of_python_with_path_constraints(tmp_path):
     case = TABLE["integrator"]()
     seen, solver = case.demonstration, SQP()
-    ours = ExportedSolver(export_c(case.problem, solver, tmp_path, psi=case.psi), STRICT)
+    ours = loaded(export_c(case.problem, solver, tmp_path, psi=case.psi))
     found = ours.solve(case.problem, seen.s0, case.psi, seen.context)
     reference = solver.solve(case.problem, seen.s0, case.psi, seen.context)
     assert found.status is reference.status is Status.CONVERGED
@@ -137,7 +137,7 @@ def test_sqp_is_that_of_python_with_path_constraints(tmp_path):
 def test_sqp_counts_its_quadratic_programs_and_takes_limit_and_tolerance_at_run_time(tmp_path):
     case = TABLE["swing-up"]()
     seen, problem = case.demonstration, case.problem
-    ours = ExportedSolver(export_c(problem, SQP(), tmp_path, psi=case.psi), STRICT)
+    ours = loaded(export_c(problem, SQP(), tmp_path, psi=case.psi))
     for limits in ({"max_iterations": 3}, {"max_iterations": 200, "tolerance": 1e-3}, {"tolerance": 1e-8}):
         ours.set(**limits)
         found = ours.solve(problem, seen.s0, case.psi, seen.context)
@@ -229,7 +229,7 @@ def test_a_manifest_with_entries_of_another_kind_is_refused_by_name(tmp_path):
                 ExportedSolver(tmp_path)
     path.write_text(json.dumps(whole | {"prefix": "other"}))
     with pytest.raises(FileError, match="has no other_size in its sources"):
-        ExportedSolver(tmp_path, PLAIN)
+        loaded(tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +246,7 @@ def small_rows(tmp_path_factory):
         path_equality=1e-3 * (u[0] - p * u[1]),
         action_bounds=([-np.inf, -9], [np.inf, 9]),
     )
-    return problem, ExportedSolver(export_c(problem, Riccati(), tmp_path_factory.mktemp("small"), psi=[0.7]), PLAIN)
+    return problem, loaded(export_c(problem, Riccati(), tmp_path_factory.mktemp("small"), psi=[0.7]))
 
 
 def test_gradients_do_not_depend_on_the_unit_of_an_equality(small_rows):

@@ -11,7 +11,8 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from exported import COMPILERS, PLAIN, STRICT, C, built, folder, object_of, ran
+from exported import COMPILERS, PLAIN, STRICT, C, built, folder, loaded, ran
+from object_files import objects_of
 from problems import TABLE
 
 import kpirl_ocp
@@ -19,13 +20,13 @@ from kpirl_ocp import OCP, GradientDescent, Riccati
 from kpirl_ocp.errors import CompilerError
 from kpirl_ocp.irl.cases.network_cases import placing_case
 from kpirl_ocp.ocp.codegen import portable_c as generated
-from kpirl_ocp.ocp.export import ExportedSolver, export_c
+from kpirl_ocp.ocp.export import export_c
 from kpirl_ocp.ocp.solvers.sqp import SQP, program
 
 CONVERGED, REAL_TIME = Riccati(), Riccati(steps=1, barrier=1e-2)
 SANITIZED = ("-std=c99", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-NEEDED_AND_NOT = "interior_point", "sensitivity"
-COUNTED = ("-std=c99", "-DCOUNT_ALLOCATIONS", "-Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc,--wrap=free")
+SINGLE = ("-DKPIRL_MPC_FLOAT", "-Wdouble-promotion")
+COUNTED = (*PLAIN, "-fPIC", "-DCOUNT_ALLOCATIONS", "-Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc,--wrap=free")
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
@@ -52,7 +53,7 @@ def test_single_precision_agrees_by_the_objective_where_the_cost_is_flat(tmp_pat
         action_bounds=(-1, 1),
     )
     out = export_c(problem, CONVERGED, tmp_path, examples=[([1.0], [])])
-    said = built(out, out / "test/test.c", *STRICT, SINGLE[0])
+    said = built(out, out / "test/test.c", *PLAIN, SINGLE[0])
     assert "all agree" in said
     (error, size, cost, value), _ = (
         map(float, numbers)
@@ -65,11 +66,9 @@ def test_single_precision_agrees_by_the_objective_where_the_cost_is_flat(tmp_pat
 @pytest.mark.parametrize("single", [True, False], ids=["a program in double", "a program in single"])
 def test_a_program_of_the_other_precision_than_the_library_does_not_link(single, tmp_path):
     out, _ = folder("integrator", CONVERGED)
-    for source in out.glob("*.c"):
-        flags = ["-std=c99", *SINGLE[:single], "-c", str(source), "-o", str(tmp_path / f"{source.stem}.o")]
-        subprocess.run(["cc", *flags], check=True)
-    program = [*SINGLE[: not single], f"-I{out}", str(out / "example/main.c"), *map(str, tmp_path.glob("*.o"))]
-    linked = subprocess.run(["cc", "-std=c99", *program, "-lm"], capture_output=True, text=True, cwd=tmp_path)
+    objects = objects_of(("gcc", *STRICT, *SINGLE[:single]), out)
+    program = [*SINGLE[: not single], f"-I{out}", str(out / "example/main.c"), *objects]
+    linked = subprocess.run(["gcc", "-std=c99", *program, "-lm"], capture_output=True, text=True, cwd=tmp_path)
     missing = "kpirl_mpc_init" if single else "kpirl_mpc_init_single"
     assert linked.returncode != 0
     assert re.findall(r"undefined reference to .(\w+)", linked.stderr) == [missing]
@@ -83,10 +82,9 @@ def test_the_program_of_the_documentation_reaches_its_goal(flags, tmp_path):
     exec(statement[1].replace('"controller"', repr(str(tmp_path / "c"))), {})
     program = tmp_path / "main.c"
     program.write_text(text[1])
-    assert built(tmp_path / "c", program, *STRICT, *flags) == "-0.20\n"
+    assert built(tmp_path / "c", program, *PLAIN, *flags) == "-0.20\n"
 
 
-SINGLE = ("-DKPIRL_MPC_FLOAT", "-Wdouble-promotion")
 SOLVERS = {"lqr": GradientDescent(5, 1e-3, project=True), "integrator": CONVERGED, "swing-up": SQP()}
 
 
@@ -96,10 +94,9 @@ def test_single_precision_is_not_promoted(name, compiler, tmp_path):
     case = TABLE[name]()
     problem = case.problem.unconstrained() if name == "lqr" else case.problem
     out = export_c(problem, SOLVERS[name], tmp_path, psi=case.psi)
-    for source in out.glob("*.c"):
-        command = [compiler, *PLAIN, *SINGLE, "-c", str(source), "-o", str(tmp_path / "object.o")]
-        compiled = subprocess.run(command, capture_output=True, text=True)
-        assert (compiled.returncode, compiled.stderr) == (0, "")
+    command = [compiler, *PLAIN, *SINGLE, "-fsyntax-only", *map(str, out.glob("*.c"))]
+    read = subprocess.run(command, capture_output=True, text=True)
+    assert (read.returncode, read.stderr) == (0, "")
 
 
 ARM = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard", "-DKPIRL_MPC_NO_HEAP")
@@ -147,24 +144,11 @@ def test_two_controllers_in_two_threads_do_not_meet():
 
 
 def test_two_prefixes_link_into_one_program(tmp_path):
-    left, first = folder("integrator", CONVERGED, "left")
-    right, second = folder("swing-up", CONVERGED, "right")
-    objects = []
-    for out in (left, right):
-        for source in out.glob("*.c"):
-            objects.append(str(tmp_path / f"{source.stem}.o"))
-            subprocess.run(["gcc", "-std=c99", "-c", str(source), "-o", objects[-1]], check=True)
-    command = [
-        "gcc",
-        *STRICT,
-        f"-I{left}",
-        f"-I{right}",
-        str(C / "pair.c"),
-        *objects,
-        "-o",
-        str(tmp_path / "pair"),
-        "-lm",
-    ]
+    one, first = folder("integrator", CONVERGED)
+    other, second = folder("swing-up", CONVERGED, "other")
+    objects = objects_of(("gcc", *PLAIN, "-fPIC"), one)
+    sources = [str(C / "pair.c"), *map(str, other.glob("*.c"))]
+    command = ["gcc", *PLAIN, f"-I{one}", f"-I{other}", *sources, *objects, "-o", str(tmp_path / "pair"), "-lm"]
     subprocess.run(command, check=True)
     assert ran(tmp_path / "pair").split() == [str(case.problem.n_states) for case in (first, second)]
 
@@ -172,7 +156,7 @@ def test_two_prefixes_link_into_one_program(tmp_path):
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
 def test_cpp_includes_it_and_has_a_class(tmp_path):
     out, _ = folder("integrator", CONVERGED)
-    objects = [object_of(("gcc", *STRICT, f"-I{out}"), source) for source in out.glob("*.c")]
+    objects = objects_of(("gcc", *STRICT), out)
     flags = ["-std=c++11", "-fno-exceptions", "-fno-rtti", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{out}"]
     subprocess.run(["g++", *flags, str(C / "inclusion.cpp"), *objects, "-o", str(tmp_path / "cpp"), "-lm"], check=True)
     assert "NULL" in ran(tmp_path / "cpp")
@@ -201,7 +185,10 @@ def test_a_short_fuzz_finds_nothing():
 
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")
 def test_cmake_builds_and_tests_it(tmp_path):
-    out, _ = folder("integrator", REAL_TIME)
+    """With warnings as errors, for gradient descent; the documentation's commands build an interior-point method."""
+    case = TABLE["lqr"]()
+    out = export_c(case.problem.unconstrained(), SOLVERS["lqr"], tmp_path / "controller", psi=case.psi)
+    tmp_path = tmp_path / "build"
     subprocess.run(["cmake", "-S", out, "-B", tmp_path, "-DKPIRL_MPC_WERROR=ON"], check=True, capture_output=True)
     subprocess.run(["cmake", "--build", tmp_path], check=True, capture_output=True)
     tested = subprocess.run(["ctest", "--test-dir", tmp_path, "--no-tests=error"], check=False, capture_output=True)
@@ -212,7 +199,7 @@ def test_cmake_builds_and_tests_it(tmp_path):
 @pytest.mark.parametrize("solver", [Riccati, SQP])
 def test_a_deadline_ends_the_solve_where_it_is(solver):
     out, case = folder("swing-up", solver())
-    ours, ticks = ExportedSolver(out, PLAIN), iter(range(1000))
+    ours, ticks = loaded(out), iter(range(1000))
     clock = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p)(lambda _: next(ticks))
     ours.set(now=ctypes.cast(clock, ctypes.c_void_p), time_limit=3.0)
     seen = case.demonstration
@@ -225,7 +212,7 @@ def test_a_deadline_ends_the_solve_where_it_is(solver):
 
 def test_shift_moves_a_plan_one_step_on():
     out, case = folder("integrator", CONVERGED)
-    ours, seen = ExportedSolver(out, PLAIN), case.demonstration
+    ours, seen = loaded(out), case.demonstration
     plan = ours.solve(case.problem, seen.s0, case.psi, seen.context)
     shifted = ours.shift(case.problem, plan, case.psi)
     np.testing.assert_array_equal(shifted.states[:-1], plan.states[1:])

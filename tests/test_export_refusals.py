@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from exported import PLAIN, folder
+from exported import PLAIN, folder, loaded
 from problems import TABLE
 
 from kpirl_ocp import OCP, SQP, GradientDescent, Riccati, Soft, Status, Trajectory
@@ -30,10 +30,10 @@ def steered(successor):
     )
 
 
-def loaded(solver=Riccati()):  # noqa: B008
+def controller(solver=Riccati()):  # noqa: B008
     out, case = folder("integrator", solver)
     seen = case.demonstration
-    return ExportedSolver(out, PLAIN), case.problem, (seen.s0, case.psi, seen.context)
+    return loaded(out), case.problem, (seen.s0, case.psi, seen.context)
 
 
 def test_the_page_of_a_folder_says_which_states_and_actions_are_not_the_users(tmp_path):
@@ -91,7 +91,7 @@ def test_look_up_tables_are_exported_whole(kind, solver, tmp_path):
     x = np.linspace(-3, 3, 25)
     table = ca.interpolant("table", kind, [x], np.sin(x) + 0.1 * x)
     problem = steered(ca.vertcat(S[0] + 0.1 * S[1], S[1] + 0.1 * (U - table(S[0]))))
-    ours = ExportedSolver(export_c(problem, solver, tmp_path), PLAIN).solve(problem, START)
+    ours = loaded(export_c(problem, solver, tmp_path)).solve(problem, START)
     reference = solver.solve(problem, START)
     assert ours.status is reference.status
     np.testing.assert_allclose(ours.actions, reference.actions, rtol=0, atol=1e-13)
@@ -154,7 +154,7 @@ def test_an_earlier_export_is_removed_and_nothing_else(tmp_path):
     assert (tmp_path / "notes.txt").read_text() == "mine"
     start = np.ones(problem.n_states)
     arguments = (problem, start, np.ones(problem.n_parameters), np.zeros(problem.n_context))
-    found = ExportedSolver(tmp_path, PLAIN).solve(*arguments)
+    found = loaded(tmp_path).solve(*arguments)
     np.testing.assert_allclose(found.actions, second.solve(*arguments).actions, rtol=0, atol=1e-12)
 
 
@@ -215,7 +215,7 @@ def test_a_problem_that_is_not_finite_at_its_example_is_refused_before_anything_
 @pytest.mark.parametrize("which", range(3))
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_an_input_that_is_not_finite_is_a_status(which, value):
-    ours, problem, arguments = loaded()
+    ours, problem, arguments = controller()
     arguments = [np.array(argument, float) for argument in arguments]
     arguments[which][0] = value
     found = ours.solve(problem, *arguments)
@@ -225,7 +225,7 @@ def test_an_input_that_is_not_finite_is_a_status(which, value):
 
 
 def test_unknown_settings_and_values_are_refused():
-    ours, _, _ = loaded()
+    ours, _, _ = controller()
     with pytest.raises(ProblemError, match=r"tolerence: no such setting; there are max_iterations, .*tolerance"):
         ours.set(tolerence=1e-3)
     with pytest.raises(ProblemError, match="max_iterations cannot be 'many'"):
@@ -238,13 +238,13 @@ def test_unknown_settings_and_values_are_refused():
 
 @pytest.mark.parametrize("setting", [{"steps": 1}, {"barrier": 1e-3}])
 def test_settings_that_sqp_does_not_know_are_refused(setting):
-    ours, _, _ = loaded(SQP())
+    ours, _, _ = controller(SQP())
     with pytest.raises(ProblemError, match="cannot do this"):
         ours.set(**setting)
 
 
 def test_arrays_of_wrong_shapes_are_refused():
-    ours, problem, (s0, psi, context) = loaded()
+    ours, problem, (s0, psi, context) = controller()
     plan = ours.solve(problem, s0, psi, context)
     with pytest.raises(ProblemError, match="s0 must have length"):
         ours.solve(problem, s0[:-1], psi, context)
@@ -267,7 +267,7 @@ def test_arrays_of_wrong_shapes_are_refused():
 
 
 def test_gradients_of_sqp_are_refused():
-    ours, problem, arguments = loaded(SQP())
+    ours, problem, arguments = controller(SQP())
     plan = ours.solve(problem, *arguments)
     with pytest.raises(ProblemError, match="cannot do this"):
         ours.gradient(problem, *arguments, plan, plan.states, plan.actions)

@@ -9,12 +9,13 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from exported import PLAIN, STRICT, built
+from exported import STRICT, WARNINGS, built, loaded
 from statements import CASES, DT, GRID, T
 
 from kpirl_ocp import OCP, SQP, Riccati, Status
 from kpirl_ocp.errors import ProblemError
-from kpirl_ocp.ocp.export import ExportedSolver, export_c
+from kpirl_ocp.ocp.codegen.compiler import EXPORT_FLAGS
+from kpirl_ocp.ocp.export import export_c
 from kpirl_ocp.ocp.interior_point import library
 
 CONVERGED, BARRIER = Riccati(), 1e-4
@@ -44,7 +45,7 @@ def assert_same(ours, reference, tolerance=1e-9, iterations=True):
 @pytest.mark.parametrize("name", CASES)
 def test_the_interior_point_method_is_that_of_python(name):
     out, problem, arguments = exported(name)
-    ours = ExportedSolver(out, PLAIN)
+    ours = loaded(out)
     cold, orderly = CONVERGED.solve(problem, *arguments), name not in CHAOTIC
     assert cold.status is Status.CONVERGED
     assert_same(ours.solve(problem, *arguments), cold, iterations=orderly)
@@ -68,7 +69,7 @@ def plain_core(monkeypatch):
 def test_the_same_build_gives_the_same_numbers_to_the_last_bit(name, plain_core):
     out, _, arguments = exported(name)
     problem = CASES[name]().problem  # one whose core was not made yet
-    ours, reference = ExportedSolver(out, PLAIN).solve(problem, *arguments), CONVERGED.solve(problem, *arguments)
+    ours, reference = loaded(out).solve(problem, *arguments), CONVERGED.solve(problem, *arguments)
     assert (ours.status, ours.iterations, ours.objective) == (
         reference.status,
         reference.iterations,
@@ -84,7 +85,7 @@ def test_the_same_build_gives_the_same_numbers_to_the_last_bit(name, plain_core)
 def test_gradients_are_the_differences_of_smoothed_solutions(name):
     """Central differences of the problem with a barrier, at two steps, extrapolated."""
     out, problem, (s0, psi, context) = exported(name)
-    ours, rng, solver = ExportedSolver(out, PLAIN), np.random.default_rng(2), Riccati(barrier=BARRIER)
+    ours, rng, solver = loaded(out), np.random.default_rng(2), Riccati(barrier=BARRIER)
     ours.set(barrier=BARRIER)
     numbers = problem.inputs(s0, psi, context)
     plan = solver.solve(problem, *numbers)
@@ -114,7 +115,7 @@ def test_gradients_are_the_differences_of_smoothed_solutions(name):
 @pytest.mark.parametrize("name", CASES)
 def test_sequential_quadratic_programming_is_that_of_python(name):
     out, problem, arguments = exported(name, SQP())
-    found, reference = ExportedSolver(out, PLAIN).solve(problem, *arguments), SQP().solve(problem, *arguments)
+    found, reference = loaded(out).solve(problem, *arguments), SQP().solve(problem, *arguments)
     assert (found.status, found.iterations) == (reference.status, reference.iterations)
     np.testing.assert_allclose(found.states, reference.states, rtol=0, atol=1e-9)
     for part in vars(reference.multipliers):
@@ -125,7 +126,7 @@ def test_sequential_quadratic_programming_is_that_of_python(name):
 @pytest.mark.parametrize("name", CASES)
 def test_it_compiles_without_a_word_at_every_level(name):
     out, _, _ = exported(name)
-    assert "all agree" in built(out, out / "test/test.c", *STRICT, "-O3", compiler="gcc")
+    assert "all agree" in built(out, out / "test/test.c", *EXPORT_FLAGS, *WARNINGS)
 
 
 SCHEDULED = "context and schedule in the dynamics"
@@ -134,7 +135,7 @@ SCHEDULED = "context and schedule in the dynamics"
 def test_a_schedule_is_given_at_run_time():
     out, problem, arguments = exported(SCHEDULED)
     even = replace(problem, schedule=np.full_like(GRID, DT))
-    ours = ExportedSolver(out, PLAIN)
+    ours = loaded(out)
     changed = ours.solve(even, *arguments)
     assert_same(changed, CONVERGED.solve(even, *arguments))
     assert np.abs(changed.states - ours.solve(problem, *arguments).states).max() > 0.01
@@ -182,12 +183,12 @@ def test_a_solver_that_has_its_schedule_compiled_in_refuses_another():
     out, problem, arguments = exported(SCHEDULED, SQP())
     even = replace(problem, schedule=np.full_like(GRID, DT))
     with pytest.raises(ProblemError, match="schedule differ"):
-        ExportedSolver(out, PLAIN).solve(even, *arguments)
+        loaded(out).solve(even, *arguments)
 
 
 def test_a_shift_takes_the_last_action_again_with_the_numbers_of_the_last_step():
     out, problem, arguments = exported(SCHEDULED)
-    ours = ExportedSolver(out, PLAIN)
+    ours = loaded(out)
     plan = ours.solve(problem, *arguments)
     shifted = ours.shift(problem, plan)
     after = problem.dynamics(plan.states[-1], plan.actions[-1], *arguments[1:], GRID[T - 1])
@@ -201,10 +202,10 @@ def test_bounds_of_every_stage_are_given_at_run_time():
     lower, upper = (np.array(bound) for bound in problem.action_bounds)
     upper *= np.linspace(0.5, 1.0, T)[:, None]
     tighter = replace(problem, action_bounds=(lower, upper))
-    assert_same(ExportedSolver(out, PLAIN).solve(tighter, *arguments), CONVERGED.solve(tighter, *arguments))
+    assert_same(loaded(out).solve(tighter, *arguments), CONVERGED.solve(tighter, *arguments))
 
 
 def test_another_free_start_is_refused():
     out, problem, arguments = exported("free start")
     with pytest.raises(ProblemError, match="free_start"):
-        ExportedSolver(out, PLAIN).solve(replace(problem, initial_bounds=None), *arguments)
+        loaded(out).solve(replace(problem, initial_bounds=None), *arguments)

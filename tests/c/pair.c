@@ -1,20 +1,20 @@
 /* Two exported controllers in one program. */
 #include <stdio.h>
 
-#include "left.h"
-#include "right.h"
+#include "kpirl_mpc.h"
+#include "other.h"
 
 int main(void) {
-  left *a = left_create();
-  right *b = right_create();
-  left_solution plan_a;
-  right_solution plan_b;
+  kpirl_mpc *a = kpirl_mpc_create();
+  other *b = other_create();
+  kpirl_mpc_solution plan_a;
+  other_solution plan_b;
   static const double zeros[64] = {0};
-  left_input input_a = {.state = zeros, .context = zeros};
-  right_input input_b = {.state = zeros, .context = zeros};
-  if (!a || !b || left_solve(a, &input_a, NULL, &plan_a) < 0 || right_solve(b, &input_b, NULL, &plan_b) < 0) return 1;
-  printf("%d %d\n", LEFT_N_STATES, RIGHT_N_STATES);
-  left_destroy(a);
-  right_destroy(b);
+  kpirl_mpc_input input_a = {.state = zeros, .context = zeros};
+  other_input input_b = {.state = zeros, .context = zeros};
+  if (!a || !b || kpirl_mpc_solve(a, &input_a, NULL, &plan_a) < 0 || other_solve(b, &input_b, NULL, &plan_b) < 0) return 1;
+  printf("%d %d\n", KPIRL_MPC_N_STATES, OTHER_N_STATES);
+  kpirl_mpc_destroy(a);
+  other_destroy(b);
   return 0;
 }
