@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -35,10 +35,10 @@ def folder(name: str, solver, prefix: str = "kpirl_mpc") -> tuple[Path, Case]:
     return export_c(case.problem, solver, out, prefix=prefix, psi=case.psi, examples=[(seen.s0, seen.context)]), case
 
 
-def built(out: Path, source: Path, *flags: str, compiler: str = "gcc", suffix: str = "*.c") -> str:
-    """What a program made of a source and a folder prints; its compiler must be silent."""
+def built(out: Path, source: Path, *flags: str, compiler: str = "gcc", names: Iterable[str] | None = None) -> str:
+    """What a program made of a source and a folder's sources prints; its compiler must be silent."""
     program = out / f"{source.stem}.out"
-    objects = objects_of((compiler, *flags), out, suffix)
+    objects = objects_of((compiler, *flags), out, names)
     silent(compiler, *flags, f"-I{out}", str(source), *objects, "-o", str(program), "-lm", "-lpthread")
     return ran(program)
 
@@ -46,8 +46,9 @@ def built(out: Path, source: Path, *flags: str, compiler: str = "gcc", suffix: s
 def loaded(out: Path, flags: tuple[str, ...] = PLAIN, compiler: str = "gcc") -> ExportedSolver:
     """The solver of a folder, whose library is linked of objects that are made once."""
 
-    def linked(folder: Path, flags: Sequence[str], compiler: str, _: object) -> Path:
-        return library_of((compiler, *flags), folder)
+    def linked(folder: Path, flags: Sequence[str], compiler: str, names: Iterable[str]) -> Path:
+        sources = [name for name in names if "/" not in name and name.endswith(".c")]
+        return library_of((compiler, *flags), folder, sources)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(exported_solver, "compile_folder", linked)

@@ -67,6 +67,7 @@ def test_a_trajectory_as_guess_is_a_cold_start_from_there():
     assert_same(ours.solve(*arguments), Riccati().solve(*arguments))
 
 
+@pytest.mark.usefixtures("virtual_machine")
 @pytest.mark.parametrize("project", [False, True])
 def test_gradient_descent_and_its_hypergradient_are_those_of_python(project, tmp_path):
     case = TABLE["pendulum"]()

@@ -120,7 +120,7 @@ def test_the_placing_controller_takes_a_quarter_of_a_megabyte_in_single_precisio
         '#include <stdio.h>\n#include "kpirl_mpc_memory.h"\n'
         'int main(void) { printf("%d\\n", (int)sizeof(kpirl_mpc)); return 0; }\n'
     )
-    assert int(built(out, program, *STRICT, *SINGLE, suffix="nothing")) <= 256_000
+    assert int(built(out, program, *STRICT, *SINGLE, names=[])) <= 256_000
 
 
 @pytest.mark.parametrize("solver", [CONVERGED, REAL_TIME])

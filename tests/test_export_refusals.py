@@ -14,6 +14,7 @@ from kpirl_ocp.ocp.codegen.portable_c import portable
 from kpirl_ocp.ocp.export import ExportedSolver, export_c
 from kpirl_ocp.types import Multipliers
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")  # for the steps in Python
 S, U = ca.MX.sym("s", 2), ca.MX.sym("u")
 START = [1.0, 0.0]
 

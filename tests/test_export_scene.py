@@ -9,7 +9,7 @@ pytest.importorskip("cv2")
 pytest.importorskip("torch")
 pytest.importorskip("pybullet")
 
-from exported import STRICT
+from exported import loaded
 
 from kpirl_ocp import Riccati
 from kpirl_ocp.assets import shipped_model
@@ -17,7 +17,7 @@ from kpirl_ocp.irl.cases.planar_arm import planar_dynamics
 from kpirl_ocp.irl.visual.closed_loop import KeypointController
 from kpirl_ocp.irl.visual.demonstrations import positions
 from kpirl_ocp.irl.visual.planning_costs import PlanningCost, planning_problem
-from kpirl_ocp.ocp.export import ExportedSolver, export_c
+from kpirl_ocp.ocp.export import export_c
 from kpirl_ocp.perception.detector.detector import KeypointDetector
 from kpirl_ocp.perception.plant.camera_plant import CameraPlant
 from kpirl_ocp.perception.scene.scene import Scene
@@ -43,7 +43,7 @@ def test_the_compiled_controller_reaches_the_same_final_distance(tmp_path):
     python = Riccati(1e-8)
     cost = PlanningCost(np.ones((HORIZON, dynamics.n_z)), np.full(HORIZON, 0.1), python)
     problem = planning_problem(dynamics, HORIZON)
-    compiled = ExportedSolver(export_c(problem, python, tmp_path, psi=cost.psi), STRICT)
+    compiled = loaded(export_c(problem, python, tmp_path, psi=cost.psi))
 
     seen, goal, done = drive(KeypointController.build(dynamics, cost), detector)
     ours, _, same = drive(KeypointController.build(dynamics, replace(cost, solver=compiled)), detector)
