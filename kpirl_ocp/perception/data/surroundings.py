@@ -146,7 +146,7 @@ def _compressed(frames: Sequence[Frame], quality: int) -> list[Frame]:
         return [_with(frame, image) for frame, (_, image) in zip(frames, decode(path), strict=True)]
 
 
-def _parts(frame: Frame) -> NDArray[np.int64]:
+def _parts(frame: Frame) -> NDArray[np.int32]:
     if frame.parts is None:
         raise ProblemError("surroundings need frames with `parts`, which say what each pixel shows.")
     return frame.parts
