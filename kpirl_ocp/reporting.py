@@ -10,7 +10,7 @@ import json
 import platform
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence, Set
 from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _PACKAGES = ("kpirl-ocp", "casadi", "pin", "numpy", "scipy", "pybullet", "torch")
 _STOPS = (signal.SIGINT, signal.SIGTERM)
-_PATIENCE = 0.5  # [s] with a thread that feeds another pool, which goes on
+_PATIENCE = 0.5  # [s] with a thread that may feed another pool, which goes on
 
 
 def write_metrics(directory: Path, settings: Mapping[str, Any], results: Mapping[str, Any]) -> Path:
@@ -98,6 +98,7 @@ def results_of(parallel: joblib.Parallel, tasks: Iterable[Any]) -> Generator[Any
             running = parallel(tasks)
             stack.callback(_close, running)
         yield from running
+        stack.pop_all()  # all are there: the processes stay, for what comes next
 
 
 def _close(running: Generator[Any, None, None]) -> None:
@@ -105,19 +106,25 @@ def _close(running: Generator[Any, None, None]) -> None:
         running.close()
 
 
+def feeders() -> set[threading.Thread]:
+    """The threads that feed the processes of pools."""
+    return {thread for thread in threading.enumerate() if thread.name == "QueueFeederThread"}
+
+
 @contextlib.contextmanager
-def pool_ending() -> Iterator[None]:
+def pool_ending(others: Set[threading.Thread] = frozenset()) -> Iterator[None]:
     """A block that kills the processes of loky's pool, and is not interrupted by signals.
 
     A wait for a thread that a signal interrupts takes that thread for ended (until Python 3.13): the program then ends
     without it, and leaves behind the processes that the thread was about to stop. Threads that fed the processes are
     waited for, too: Python does not, and where it ends within one that gives back a semaphore, loky reports a leak.
+
+    others: feeders of other pools, which go on.
     """
     with _signals_delayed(), _dropped_tasks_unsaid():
         yield
-        for thread in threading.enumerate():
-            if thread.name == "QueueFeederThread":
-                thread.join(_PATIENCE)
+        for thread in feeders() - others:
+            thread.join(_PATIENCE)
 
 
 @contextlib.contextmanager

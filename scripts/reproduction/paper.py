@@ -134,7 +134,7 @@ def check(args: Namespace) -> None:
             models.load_dynamics(task)
     if args.address not in (None, "auto"):
         check_address(args.address)
-    if args.backend != "loky":
+    if args.address:
         with of_option("--address"), backend(args.backend, args.address, args.jobs):
             pass
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from threading import Thread
 
 import casadi as ca
 import numpy as np
@@ -26,7 +27,7 @@ from kpirl_ocp.irl.learning.result import LearningResult
 from kpirl_ocp.ocp.problem.guards import dense
 from kpirl_ocp.ocp.problem.ocp import OCP
 from kpirl_ocp.ocp.solvers.ipopt import Ipopt
-from kpirl_ocp.reporting import deaf_pool, pool_ending
+from kpirl_ocp.reporting import deaf_pool, feeders, pool_ending
 from kpirl_ocp.types import Array, Demonstration
 
 TRUNCATION = 10  # steps that Truncated goes back
@@ -118,13 +119,13 @@ def measure_all(source: str, steps: list[int], exact: Array) -> Iterator[Measure
         with ExitStack() as stack:
             with deaf_pool():
                 pool = ProcessPoolExecutor(1)
-                stack.callback(_kill, pool)
+                stack.callback(_kill, pool, feeders())  # its own begins with the first task
                 measured = pool.submit(_measure, source, steps, index, exact)
             yield measured.result()
 
 
-def _kill(pool: ProcessPoolExecutor) -> None:
-    with pool_ending():
+def _kill(pool: ProcessPoolExecutor, others: Set[Thread]) -> None:
+    with pool_ending(others):
         pool.shutdown(kill_workers=True)
 
 
