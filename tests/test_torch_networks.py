@@ -2,6 +2,8 @@
 
 import copy
 import logging
+from functools import cache
+from importlib import import_module
 
 import casadi as ca
 import numpy as np
@@ -18,6 +20,15 @@ from kpirl_ocp.bridges.torch_network import from_torch  # noqa: E402
 
 nn = torch.nn
 WIDTH = 12
+
+
+@pytest.fixture(scope="module", autouse=True)
+def library():
+    """torch reads its library of a thousand operators, which no export changes, once, and not again in every export."""
+    registry = import_module("torch.onnx._internal.exporter._registration").ONNXRegistry
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(registry, "from_torchlib", staticmethod(cache(registry.from_torchlib)))
+        yield
 
 
 class Normalised(nn.Module):
