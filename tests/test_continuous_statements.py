@@ -86,6 +86,11 @@ def case_of(name):
     return Case(learned(dynamics=dynamics, action_bounds=(-1.5, 1.5)), REST, bounded(opti))
 
 
+@lru_cache
+def optimum_of(name):
+    return optimum(case_of(name))
+
+
 def bounded(build):
     def more(opti, X, U):
         opti.subject_to(opti.bounded(-1.5, U, 1.5))
@@ -100,7 +105,7 @@ def bounded(build):
 @pytest.mark.parametrize("name", CASES)
 def test_a_plan_in_continuous_time_is_that_of_an_independent_statement(name, solver):
     problem, arguments, _ = case_of(name)
-    objective, states, actions = optimum(case_of(name))
+    objective, states, actions = optimum_of(name)
     found = solver.solve(problem, *arguments)
     assert found.status is Status.CONVERGED
     atol = 1e-5 if isinstance(solver, Fatrop) else 1e-7
