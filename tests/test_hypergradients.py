@@ -8,6 +8,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import forget_gradient_steps
 from problems import (
     CASES,
     Case,
@@ -36,6 +37,7 @@ from kpirl_ocp import (
 )
 from kpirl_ocp.errors import ProblemError
 from kpirl_ocp.irl.hypergradients.certificate import HypergradientResult
+from kpirl_ocp.ocp.codegen.compiler import compiled
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 
@@ -141,7 +143,12 @@ def reference(case: Case) -> HypergradientResult:
     and its finite differences are those of the problem so smoothed: on the iiwa 1.5e-8 off at the default 1e-10.
     """
     solver = TIGHT if case.problem.has_state_constraints else converging_descent(case)
-    return evaluate(FiniteDifference(solver), case)
+    with pytest.MonkeyPatch.context() as patch:  # a hundred descents of 2500 steps are worth a compiler
+        patch.setattr("kpirl_ocp.ocp.solvers.gradient_descent.compiled", compiled)
+        forget_gradient_steps()
+        found = evaluate(FiniteDifference(solver), case)
+    forget_gradient_steps()
+    return found
 
 
 # Interior points keep active constraints at a slack of about their tolerance over the multiplier; the tolerance of
