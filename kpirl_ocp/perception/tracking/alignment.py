@@ -70,14 +70,15 @@ class Template:
 
     def _climb(self, view: NDArray[np.uint8], look: Look, pose: Array) -> tuple[Array, float]:
         """Steps d in one view (H, W), until they are short or nothing is alike; gives the pose and rho."""
-        rho, length = self._correlated(view, look, pose)[1], np.inf
+        seen, rho = self._correlated(view, look, pose)
+        length = np.inf
         for _ in range(_STEPS):
             if rho < _UNLIKE or length < _SETTLED:
                 break
-            seen, rho = self._correlated(view, look, pose)
-            step = look.inverse @ (seen / max(rho, _UNLIKE) - look.values)
+            step = look.inverse @ (seen / rho - look.values)
             pose, length = pose @ np.linalg.inv(self._similarity(step)), float(np.abs(step).sum())
-        return pose, self._correlated(view, look, pose)[1]
+            seen, rho = self._correlated(view, look, pose)
+        return pose, rho
 
     def _correlated(self, view: NDArray[np.uint8], look: Look, pose: Array) -> tuple[Array, float]:
         """Values I(W) (n,) of a view (H, W), and their rho."""
@@ -90,8 +91,9 @@ class Template:
         """S(d) (3, 3) about the middle; growth and turn move the farthest pixel by d [pixels]."""
         grown, turned = 1 + step[2] / self.radius, step[3] / self.radius
         linear = np.array([[grown, -turned], [turned, grown]])
-        shift = step[:2] + self.middle - linear @ self.middle
-        return np.block([[linear, shift[:, None]], [np.zeros((1, 2)), 1.0]])
+        moved = np.eye(3)
+        moved[:2, :2], moved[:2, 2] = linear, step[:2] + self.middle - linear @ self.middle
+        return moved
 
 
 def _look(view: NDArray[np.uint8], places: NDArray[np.intp], arms: Array) -> Look:

@@ -41,15 +41,6 @@ class Views(NamedTuple):
         """The sharp and the smooth view."""
         return self.sharp, self.smooth
 
-    def turned(self, motion: Array) -> Greys:
-        """The grey views moved by a pose (3, 3), so that an object is seen as in another frame."""
-        height, width = self.sharp.shape
-        sharp, smooth = (
-            np.asarray(cv2.warpAffine(view, motion[:2], (width, height), borderMode=cv2.BORDER_REPLICATE), np.uint8)
-            for view in self.grey
-        )
-        return sharp, smooth
-
     def patches(self, points: Array, pose: Array) -> tuple[Array, Array]:
         """Grey values around points (n, 2), turned and scaled with the object: (n, m) sharp and (n, m) smooth."""
         sharp, smooth = (sample(view, points, pose, r) for view, r in zip(self.grey, RADII, strict=True))
@@ -57,9 +48,10 @@ class Views(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """An image, sharp and smooth, and the pose (3, 3) of an object that it shows."""
+    """A grey view (H, W) of a frame, 0: the sharp one, 1: the smooth one, and the pose (3, 3) of an object in it."""
 
-    grey: Greys
+    view: NDArray[np.uint8]
+    level: int
     pose: Array
 
 
@@ -69,18 +61,20 @@ class Memory(NamedTuple):
     views: Views
     pose: Array
 
-    def at(self, pose: Array) -> Shown:
-        """The frame warped as if the object were at another pose: flow compares patches that are not turned."""
-        return Shown(self.views.turned(pose @ np.linalg.inv(self.pose)), pose)
+    def at(self, pose: Array, level: int = 0) -> Shown:
+        """A view warped as if the object were at another pose: flow compares patches that are not turned."""
+        view, motion = self.views.grey[level], pose @ np.linalg.inv(self.pose)
+        moved = cv2.warpAffine(view, motion[:2], view.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
+        return Shown(np.asarray(moved, np.uint8), level, pose)
 
 
 def sample(view: NDArray[np.uint8], points: Array, pose: Array, radius: int) -> Array:
     """Values (n, m) of a view (H, W) on grids around points (n, 2), turned and scaled by a pose (3, 3)."""
     grid = _grid(radius) @ pose[:2, :2].T
-    places = (points[:, None] + grid).astype(np.float32)
     if not len(points):
         return np.zeros((0, len(grid)))
-    sampled = cv2.remap(view, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    x, y = ((points[:, None, axis] + grid[:, axis]).astype(np.float32) for axis in (0, 1))
+    sampled = cv2.remap(view, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(sampled, float).reshape(len(points), -1)
 
 

@@ -35,10 +35,11 @@ def follow(
         Positions (n, 2), and which of them (n,) passed the check.
     """
     start, end = (np.ascontiguousarray(values, np.float32).reshape(-1, 1, 2) for values in (points, guess))
-    there, found = _flow(before, after, start, end, window)
-    back, returned = _flow(after, before, there, there - end + start, window)
-    gap = np.linalg.norm((back - start).reshape(-1, 2), axis=1)
-    return there.reshape(-1, 2).astype(float), found & returned & (gap < tolerance)
+    there, held = _flow(before, after, start, end, window)
+    back, returned = _flow(after, before, there[held], (there - end + start)[held], window)
+    gap = np.linalg.norm((back - start[held]).reshape(-1, 2), axis=1)
+    held[held] = returned & (gap < tolerance)
+    return there.reshape(-1, 2).astype(float), held
 
 
 def _flow(

@@ -153,7 +153,7 @@ class _Tracker:
                 seen[index] = clear(self._twin(views, twins.others[index], [match.pose]))
             else:
                 ahead = twins.itself.ahead
-                left = clear(self.matcher.by_points(views, self._last, 0, guess=ahead, without=[at.pose]))
+                left = clear(self.matcher.by_points(views, self._last(0), guess=ahead, without=[at.pose]))
                 match = replace(left, sure=match.sure) if left else None
         mine = twins.settle(pose_of(match), [pose_of(at) for at in seen])
         return match if mine else None
@@ -162,15 +162,15 @@ class _Tracker:
         """A twin, from the frame before if it was seen there, else as the object was seen."""
         match: Match | None = None
         if not twin.unseen:
-            there = Shown(self.before.views.grey, twin.pose)
-            match = self.matcher.by_points(views, there, 0, guess=twin.ahead, without=without, own=False)
-        return match or self.matcher.by_points(views, self.sure.at(twin.ahead), 0, without=without, own=False)
+            there = Shown(self.before.views.sharp, 0, twin.pose)
+            match = self.matcher.by_points(views, there, guess=twin.ahead, without=without, own=False)
+        return match or self.matcher.by_points(views, self.sure.at(twin.ahead), without=without, own=False)
 
     def _meet(self, views: Views, match: Match, places: Array) -> None:
         """Take up twins at places (m, 2): things that look like the object in its points, too."""
         for offset in self.twins.unknown(match.pose, places):
             guess = shifted(match.pose, offset)
-            found = self.matcher.by_points(views, self.sure.at(guess), 0, without=[match.pose], own=False)
+            found = self.matcher.by_points(views, self.sure.at(guess), without=[match.pose], own=False)
             if (
                 found
                 and not self.twins.same(found.pose, match.pose)
@@ -184,17 +184,16 @@ class _Tracker:
         best: Match | None = None
         for level in (0, 1):
             for guess in (self.motion @ pose, pose):
-                match = self.matcher.by_points(views, self._last, level, guess=guess)
+                match = self.matcher.by_points(views, self._last(level), guess=guess)
                 if match and (best is None or (match.sure, match.share) > (best.sure, best.share)):
                     best = match
                 if best and best.sure and best.share > SURE:
                     return best
         return best
 
-    @property
-    def _last(self) -> Shown:
-        """The frame before."""
-        return Shown(self.before.views.grey, self.before.pose)
+    def _last(self, level: int) -> Shown:
+        """A view of the frame before."""
+        return Shown(self.before.views.grey[level], level, self.before.pose)
 
     def _corrected(self, views: Views, onward: Match) -> Match:
         """The match where the object looks as in the first frame, else by points; far from there none is sure."""
@@ -219,7 +218,7 @@ class _Tracker:
         """
         confirmed = False
         for memory in (self.first, self.sure):
-            anchored = self.matcher.by_points(views, memory.at(onward.pose), 0)
+            anchored = self.matcher.by_points(views, memory.at(onward.pose))
             if anchored is None:
                 continue
             if self._far(anchored, onward):
@@ -242,9 +241,8 @@ class _Tracker:
         matches = [
             match
             for guess in candidates(views, self.sure, pose, self.model.mask, self.lost)
-            for shown in [self.sure.at(guess)]
             for level in (0, 1)
-            if (match := self.matcher.by_points(views, shown, level)) and not self._is_other(match)
+            if (match := self.matcher.by_points(views, self.sure.at(guess, level))) and not self._is_other(match)
         ]
         best = unambiguous(matches)
         if best is None or not best.sharp:
@@ -266,7 +264,7 @@ class _Tracker:
     def _at_place(self, views: Views, pose: Array, level: int) -> Match | None:
         """A match at a place, from the last sure frame or the last one with a match."""
         for memory in (self.sure, self.recent):
-            match = self.matcher.by_points(views, memory.at(pose), level)
+            match = self.matcher.by_points(views, memory.at(pose, level))
             if match and not self._is_other(match):
                 return match
         return None

@@ -55,7 +55,6 @@ class Matcher:
         self,
         views: Views,
         earlier: Shown,
-        level: int,
         *,
         guess: Array | None = None,
         without: Sequence[Array] = (),
@@ -64,17 +63,16 @@ class Matcher:
         """The pose to which flow from an earlier image leads, if enough points agree and look right.
 
         Args:
-            level: 0: the sharp view, 1: the smooth one.
             guess: (3, 3) where about the object may be, and about how large; by default as it was.
             without: poses (3, 3) of other things, whose points are theirs.
             own: points that intruders hide are not the object's; those of its twin may be, which may be an intruder.
         """
-        model, guess = self.model, earlier.pose if guess is None else guess
+        model, level, guess = self.model, earlier.level, earlier.pose if guess is None else guess
         chosen = np.flatnonzero(model.in_view(earlier.pose, views.sharp.shape))
         points = model.points[chosen]
         start, end = transform(earlier.pose, points), transform(guess, points)
         window, gap, tolerance = _WINDOWS[level], _GAPS[level], _TOLERANCES[level]
-        places, held = follow(earlier.grey[level], views.grey[level], start, end, window, gap)
+        places, held = follow(earlier.view, views.grey[level], start, end, window, gap)
         for pose in without:
             held &= np.linalg.norm(transform(pose, points) - places, axis=1) > 2 * tolerance
         if own:
