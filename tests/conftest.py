@@ -2,7 +2,8 @@
 ended by Ctrl-C, even if the tests themselves were started with interrupts ignored, as `nohup make test &` does. The
 name of a test is the same in every process: workers in parallel must collect the same names. Garbage is searched for as
 in commands of the package: less often than Python would, and not before the end. JAX, whose numbers ours are compared
-with, compiles without optimisation, as it calls each of its functions a few times."""
+with, compiles without optimisation, as it calls each of its functions a few times. OpenCV has one thread: workers in
+parallel have the processors."""
 
 import atexit
 import gc
@@ -23,6 +24,7 @@ if "KPIRL_TEST_OBJECTS" not in os.environ:  # a directory for all processes of t
     object_files = tempfile.TemporaryDirectory()
     os.environ["KPIRL_TEST_OBJECTS"] = object_files.name
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 signal.signal(signal.SIGINT, signal.default_int_handler)
 gc.set_threshold(10_000, 20, 20)
 atexit.register(gc.freeze)
