@@ -392,7 +392,7 @@ def test_the_film_and_the_sheet_show_the_tracks(tmp_path):
     x, y = tracks.positions[-1, 0].round().astype(int)
     assert tuple(drawn[-1][y, x]) == (0, 114, 178)  # the first colour
     height, width, _ = imread(track_sheet(tmp_path / "sheet.png", frames, tracks, [0, 5])).shape
-    assert width / height == pytest.approx(6.0 / (3.0 * HEIGHT / WIDTH + 0.3), rel=0.01)  # two frames, no empty places
+    assert width / height == pytest.approx(900 / (442 * HEIGHT / WIDTH + 28), rel=0.01)  # two frames, no empty places
     found = list(iterate_frames(track_film(tmp_path / "film.mp4", frames, tracks)))
     assert len(found) == 6
 

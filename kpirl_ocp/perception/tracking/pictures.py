@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 
+from kpirl_ocp.episodes import atomic_write
 from kpirl_ocp.errors import DemonstrationError
 from kpirl_ocp.figures import COLOURS, save
 from kpirl_ocp.perception.data.encoding import write_video
@@ -19,7 +19,7 @@ from kpirl_ocp.perception.tracking.tracks import Tracks
 from kpirl_ocp.types import Array, Mask
 
 _TRAIL = 1.0  # of the past that a track shows [s]
-_COLUMNS = 4
+_COLUMNS, _PANEL, _EDGE, _LINE = 4, 450, 4, 24  # of a sheet: width, edge and caption of a frame in it [pixels]
 _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 
 
@@ -97,28 +97,28 @@ def track_film(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Track
 
 
 def track_sheet(path: Path, frames: Iterable[tuple[float, Frames]], tracks: Tracks, chosen: Sequence[int]) -> Path:
-    """Write a picture of the chosen frames, each with the keypoints' way so far, its time and the mean confidence."""
-    columns = min(_COLUMNS, len(chosen))
-    rows = -(-len(chosen) // columns)
-    width, height = tracks.size
-    figure = Figure(figsize=(3.0 * columns, (3.0 * height / width + 0.3) * rows), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+    """Write a .png of the chosen frames, each with the keypoints' way so far, its time and the mean confidence."""
     images = at_times(frames, tracks.times[list(chosen)])
-    for axis, index, image in zip(axes, chosen, images, strict=False):
-        axis.imshow(image, extent=(0, width, height, 0))
-        for number in range(tracks.positions.shape[1]):
-            colour, way = COLOURS[number % len(COLOURS)], tracks.positions[: index + 1, number]
-            seen = tracks.confidence[index, number] > 0
-            halo = [withStroke(linewidth=2.5, foreground="white")]  # seen on any ground
-            axis.plot(*way.T, color=colour, linewidth=1.2, path_effects=halo)
-            axis.scatter(
-                *way[-1], s=26, facecolors=colour if seen else "none", edgecolors=colour, path_effects=halo, zorder=3
-            )
-        axis.set(xlim=(0, width), ylim=(height, 0))
-        axis.set_title(_caption(tracks, index), fontsize=9)
-    for axis in axes:
-        axis.set_axis_off()
-    return save(figure, path)
+    panels = [_panel(image, tracks, index) for index, image in zip(chosen, images, strict=True)]
+    columns = min(_COLUMNS, len(panels))
+    panels += [np.full_like(panels[0], 255)] * (-len(panels) % columns)
+    sheet = np.vstack([np.hstack(panels[first : first + columns]) for first in range(0, len(panels), columns)])
+    with atomic_write(path) as file:
+        quick = [cv2.IMWRITE_PNG_COMPRESSION, 3]
+        file.write(cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR), quick)[1].tobytes())
+    return path
+
+
+def _panel(image: Frames, tracks: Tracks, index: int) -> Frames:
+    """A frame of a sheet, with a white edge around it and its caption above."""
+    width = _PANEL - 2 * _EDGE
+    drawn = overlay(
+        zoomed(image, width / image.shape[1]),
+        width / tracks.size[0] * tracks.positions[: index + 1],
+        tracks.confidence[index],
+    )
+    framed = cv2.copyMakeBorder(drawn, _LINE, _EDGE, _EDGE, _EDGE, cv2.BORDER_CONSTANT, value=_WHITE)
+    return captioned(np.asarray(framed, np.uint8), _caption(tracks, index))
 
 
 def draw_object(path: Path, image: Frames, mask: Mask) -> Path:
