@@ -93,10 +93,9 @@ def test_an_arm_repeats_a_film_with_dynamics_that_were_learned(placing, tmp_path
     found = json.loads((tmp_path / "again" / "metrics.json").read_text())["results"]
     np.testing.assert_allclose(found["planned"], results["planned"], rtol=1e-5)
     other = [*again, "--seed", "5", "--export", "--out", str(tmp_path / "other")]  # from another start
-    code = run(["learn-video", str(placing), *other])
+    assert run(["learn-video", str(placing), *other]) == 0, capsys.readouterr()
     found = json.loads((tmp_path / "other" / "metrics.json").read_text())["results"]
-    assert max(found["planned"]) < 0.12  # a cost learned from one start fits others less
-    assert code == (max(found["executed"] or found["planned"]) >= 0.1)
+    assert max(found["planned"]) < 0.1
     assert np.abs(read_episode(tmp_path / "other" / "plan.npz", Plan).joints[0] - plan.joints[0]).max() > 1e-3
     assert (tmp_path / "other" / "c" / "Makefile").exists()
     assert run(["learn-video", str(placing), *again, "--robot", "ur5", "--out", str(tmp_path / "ur5")]) == 2

@@ -20,7 +20,7 @@ from kpirl_ocp.errors import OptionError
 from kpirl_ocp.irl.cases.cost_files import robot_called
 from kpirl_ocp.irl.cases.planar_arm import planar_dynamics
 from kpirl_ocp.irl.learning.learn import LearningResult
-from kpirl_ocp.irl.visual.camera_learning import cheapest, learn_on, path_distance
+from kpirl_ocp.irl.visual.camera_learning import FIRST_WEIGHTS, cheapest, learn_on, path_distance
 from kpirl_ocp.irl.visual.closed_loop import KeypointController
 from kpirl_ocp.irl.visual.demonstrations import positions, transferred_demonstration
 from kpirl_ocp.irl.visual.learning import CONVERGED
@@ -49,6 +49,7 @@ from kpirl_ocp.reporting import table, write_metrics
 from kpirl_ocp.types import Array, Demonstration, Solution
 
 _SIDE = Camera().height  # [pixels]
+_OTHERS = 2  # starts that the cost is learned from beside the first, so that it suits others, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +96,8 @@ def imitate(args: Namespace, tracks: Tracks) -> int:
     person = in_half_images(tracks, args.steps, 1.0 if args.scale is None else args.scale)
     arms = [_recorded(detector, args.recording)] if args.recording else _in_scene(detector, person, args)
     demonstrations = [transferred_demonstration(dynamics, person, arm.keypoints, arm.joints) for arm in arms]
-    cost, history = _cost(args, dynamics, demonstrations[0])
+    demonstrations, others = demonstrations[: args.starts], demonstrations[args.starts :]
+    cost, history = _cost(args, dynamics, [demonstrations[0], *others])
     controller = KeypointController.build(dynamics, cost)
     plans = plans_from(controller, demonstrations)
     files = [_as_file(plan, dynamics) for plan in plans]
@@ -138,17 +140,20 @@ def _dynamics(args: Namespace) -> NetworkDynamics:
 
 
 def _cost(
-    args: Namespace, dynamics: NetworkDynamics, demonstration: Demonstration
+    args: Namespace, dynamics: NetworkDynamics, demonstrations: Sequence[Demonstration]
 ) -> tuple[PlanningCost, LearningResult | None]:
-    """Learned time-dependent weights and one effort weight, written to OUT; or the cost of --cost."""
+    """Learned time-dependent weights, written to OUT; or the cost of --cost.
+
+    A cost means the same times any factor: where the effort weight was learned, too, L-BFGS went along it without end.
+    """
     if args.cost:
         return _known_cost(args, dynamics), None
-    horizon = demonstration.horizon
-    family = KeypointCost(TimeDependent(), effort=1.0, learn_effort=True, positivity="softplus")
+    horizon = demonstrations[0].horizon
+    family = KeypointCost(TimeDependent(), effort=1.0, positivity="softplus")
     limits = _limits(args, dynamics)
     problem = limited_network_ocp(dynamics, family, horizon, limits)
-    psi0 = family.initial(horizon, dynamics.n_z, np.full((horizon, dynamics.n_z), 10.0))
-    history = learn_on(problem, [demonstration], psi0, args.iterations)
+    psi0 = family.initial(horizon, dynamics.n_z, FIRST_WEIGHTS)
+    history = learn_on(problem, demonstrations, psi0, args.iterations)
     cost = replace(PlanningCost.of(family, history.psi, horizon, dynamics.n_z, CONVERGED), limits=limits)
     print(f"cost:    {write_planning_cost(args.out / 'cost.json', cost, dynamics)}")
     return cost, history
@@ -203,10 +208,11 @@ def _recorded(detector: KeypointDetector, path: Path) -> SeenArm:
 
 
 def _in_scene(detector: KeypointDetector, person: KeypointTrack, args: Namespace) -> list[SeenArm]:
-    """The iiwa with its keypoints where the person's began, and its other starts near there."""
+    """The iiwa with its keypoints where the person's began, other starts near there, and those to learn from."""
     places, rng = _middles(person.keypoints), np.random.default_rng([args.seed, 7])
     off = _middles(placing_starts(detector, places, rng).keypoints) - places[0]  # keypoints are not the bottle's middle
-    starts = [placing_starts(detector, places - off, rng) for _ in range(args.starts)]
+    count = args.starts + (0 if args.cost else _OTHERS)
+    starts = [placing_starts(detector, places - off, rng) for _ in range(count)]
     return [SeenArm(start.keypoints, start.joints[0]) for start in starts]
 
 

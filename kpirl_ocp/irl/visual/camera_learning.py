@@ -41,11 +41,10 @@ from kpirl_ocp.types import Array, Demonstration, Solution, Trajectory
 
 _SOLVER = Riccati(tolerance=1e-9)
 _OPTIMISER = LBFGS(first_step=1.0, tolerance=1e-4)
-_PATIENT = LBFGS()
 _PROGRESS = 0.05  # relative decrease of the loss for which a restart is worthwhile
 _ENOUGH = 0.015  # share of the path's extent, root mean square, by which the tracks themselves may be off
 _TURN = 0.05  # share of the path's extent by which a coordinate goes back where it turns, and within which it rests
-_FIRST_WEIGHTS = 0.01  # with efforts of 1, plans begin slowly; with larger weights they leap, each psi elsewhere
+FIRST_WEIGHTS = 0.01  # with efforts of 1, plans begin slowly; with larger weights they leap, each psi elsewhere
 _LEAST_EFFORT = 0.03  # of the initial effort weights
 
 
@@ -120,14 +119,14 @@ def learn_in_image(
     demonstration = demonstrations[0]
     horizon, n_z = demonstration.horizon, demonstration.observations.shape[1]
     cost = KeypointCost(TimeDependent(), effort=(1.0,) * horizon, learn_effort=True, positivity="softplus")
-    psi0 = cost.initial(horizon, n_z, _FIRST_WEIGHTS)
+    psi0 = cost.initial(horizon, n_z, FIRST_WEIGHTS)
     observations = demonstration.observations
     goals = goals_of_parts(observations, _TURN * path_extent(observations)) - observations[-1]
     problem = setting.problem(robot, cost, horizon, goals)
     least = replace(cost, effort=(_LEAST_EFFORT,) * horizon).initial(horizon, n_z)
     least[:-horizon] = -np.inf
     enough = observations[1:].size / 2 * (_ENOUGH * path_extent(observations)) ** 2
-    result = learn_on(problem, demonstrations, psi0, iterations, least, enough, _OPTIMISER)
+    result = learn_on(problem, demonstrations, psi0, iterations, least, enough)
     start = demonstration.s0[n_z : n_z + robot.n_joints]
     displacement = observations[-1] - observations[0]
     learned = LearnedCost(cost, result.psi, horizon, _SOLVER, setting, start, displacement, rate, goals)
@@ -142,7 +141,6 @@ def learn_on(
     iterations: int,
     least: Array | float = -np.inf,
     enough: float = -np.inf,
-    optimiser: LBFGS = _PATIENT,
 ) -> LearningResult:
     """Learn with the implicit gradient, and begin again with a new memory where L-BFGS gets stuck, if that helps.
 
@@ -158,7 +156,7 @@ def learn_on(
         problem,
         demonstrations,
         hypergradient=Implicit(_SOLVER),
-        optimiser=optimiser,
+        optimiser=_OPTIMISER,
         warm_start=False,
         bounds=(least, np.inf),
         callback=lambda state: state.best.loss <= enough,
