@@ -59,7 +59,7 @@ def test_a_signal_ends_a_solve_of_ipopt(by):
         for _ in range(1000):
             Ipopt().solve(rugged, [0.5, 0.0])
 
-    threading.Timer(1.0, os.kill, (os.getpid(), by)).start()
+    threading.Timer(0.3, os.kill, (os.getpid(), by)).start()
     with pytest.raises(KeyboardInterrupt), stoppable():
         solves()
 
