@@ -117,8 +117,8 @@ def _panel(image: Frames, tracks: Tracks, index: int) -> Frames:
         width / tracks.size[0] * tracks.positions[: index + 1],
         tracks.confidence[index],
     )
-    framed = cv2.copyMakeBorder(drawn, _LINE, _EDGE, _EDGE, _EDGE, cv2.BORDER_CONSTANT, value=_WHITE)
-    return captioned(np.asarray(framed, np.uint8), _caption(tracks, index))
+    framed = cv2.copyMakeBorder(drawn, 0, _EDGE, _EDGE, _EDGE, cv2.BORDER_CONSTANT, value=_WHITE)
+    return np.vstack([captioned(np.full((_LINE, _PANEL, 3), 255, np.uint8), _caption(tracks, index)), framed])
 
 
 def draw_object(path: Path, image: Frames, mask: Mask) -> Path:
