@@ -243,7 +243,7 @@ WRONG = {  # words, beginning of the sentence
     "reproduce_paper.py --models nowhere": "--models: there is no directory 'nowhere'.",
     "reproduce_paper.py --backend sky": "--backend: expected one of loky, dask, ray, got 'sky'.",
     "stress_test.py --only peers livse": "--only: expected one of certificates, peers, statuses, starts, units, "
-    "obstacles, lives, kills, got 'livse': did you mean 'lives'?",
+    "obstacles, times, lives, kills, got 'livse': did you mean 'lives'?",
     "reference_suite.py --only nothing": "--only: there is no problem 'nothing'",
     "reference_suite.py --out /proc/x": "--out: cannot write to '/proc/x': No such file or directory.",
 }
