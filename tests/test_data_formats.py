@@ -47,7 +47,7 @@ def take(count=6, brightness=200, task="place the bottle", **arrays):
     return Take(arrays, np.arange(count) / RATE, {CAMERA: film(count, brightness)}, task)
 
 
-def check_same(found, expected):
+def check_same(found, expected, copies=1):
     assert found.task == expected.task
     assert found.arrays.keys() == expected.arrays.keys()
     np.testing.assert_allclose(found.times, expected.times, atol=1e-6)
@@ -56,7 +56,7 @@ def check_same(found, expected):
         np.testing.assert_array_equal(found[name], array)
     for name in expected.videos:
         difference = np.abs(found.frames(name).astype(float) - expected.frames(name))
-        assert difference.mean() < 3  # grey levels; H.264 is not lossless
+        assert difference.mean() < 2.5 * copies  # grey levels; H.264 is not lossless, and narrow films vary a little
 
 
 def test_a_lerobot_data_set_comes_back_as_it_was_written(tmp_path):
@@ -73,7 +73,7 @@ def test_what_was_read_can_be_written_again(tmp_path):
     write_lerobot(tmp_path / "one", takes, RATE)
     write_lerobot(tmp_path / "two", read_lerobot(tmp_path / "one"), RATE)
     for found, expected in zip(read_lerobot(tmp_path / "two"), takes, strict=True):
-        check_same(found, expected)
+        check_same(found, expected, copies=2)
 
 
 def test_the_written_data_set_says_what_lerobot_asks_for(tmp_path):
