@@ -86,7 +86,6 @@ docs: .venv/installed-docs
 # Modules are compiled once, not by each of hundreds of processes, even where Python is told to write no bytecode.
 # The two processes of the tests have one thread each. Types are checked beside them: what is wrong with types is said last.
 test: export PYTHONDONTWRITEBYTECODE =
-test: export OPENCV_FOR_THREADS_NUM = 1
 test: .venv/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

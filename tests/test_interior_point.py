@@ -12,6 +12,7 @@ from units import in_units
 from kpirl_ocp import OCP, Riccati, Status, Trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+from stress.starts import minimum_time
 
 
 def integrator(horizon, n=1, step=0.1, **fields):
@@ -248,36 +249,18 @@ def test_running_cost_as_a_state_costs_no_more_iterations_than_as_stage_costs():
     assert first.iterations <= second.iterations + 3
 
 
-def crane(place, rope, **cost):
-    """The load of a gantry crane, moved from `place` [m] at a rope of `rope` [m] to 0 and 5 m, from rest to rest."""
-    s, u, duration = ca.SX.sym("s", 6), ca.SX.sym("u", 2), ca.SX.sym("duration")  # place, rope, angle; their rates
-    step = duration / 40
-    swing = -(9.81 * ca.sin(s[2]) + u[0] * ca.cos(s[2]) + 2 * s[4] * s[5]) / s[1]
-    rates = ca.Function("rates", [s, u], [ca.vertcat(s[3:], u, swing)])
-    middle = s + step / 2 * rates(s, u)
-    problem = OCP.from_expressions(
-        state=s,
-        action=u,
-        static=duration,
-        static_bounds=(1, 60),
-        horizon=40,
-        dynamics=s + step * rates(middle, u),
-        action_bounds=([-1, -0.5], [1, 0.5]),
-        state_bounds=([-np.inf, 1, -0.3, -3, -1, -np.inf], [np.inf, 20, 0.3, 3, 1, np.inf]),
-        terminal_equality=s - ca.DM([0, 5, 0, 0, 0, 0]),
-        **{name: share * duration for name, share in cost.items()},
-    )
-    return Riccati().solve(problem, [place, rope, 0, 0, 0, 0])
-
-
 @pytest.mark.parametrize("place", [-15, 3, 10])
 @pytest.mark.parametrize("rope", [2, 12])
 def test_a_free_final_time_counts_the_same_by_stages_and_at_the_end(place, rope):
     """Its slope at one stage is a fortieth, which is no measure of what the barrier is to weigh at the start."""
-    by_stages, at_end = crane(place, rope, stage_cost=1 / 40), crane(place, rope, terminal_cost=1)
-    assert by_stages.status is at_end.status is Status.CONVERGED
-    assert by_stages.objective == pytest.approx(at_end.objective, rel=1e-7)
-    assert by_stages.iterations <= 2 * at_end.iterations
+    crane = minimum_time.TASKS["crane"]
+    by_stages, at_end = map(minimum_time.problem_of, (crane, replace(crane, price=0.0)))
+    s, *rest = at_end.terminal_cost.mx_in()
+    at_end = replace(at_end, terminal_cost=ca.Function("final", [s, *rest], [s[-1]]))
+    first, second = (Riccati().solve(problem, [place, rope, 0, 0, 0, 0]) for problem in (by_stages, at_end))
+    assert first.status is second.status is Status.CONVERGED
+    assert first.objective == pytest.approx(second.objective, rel=1e-7)
+    assert first.iterations <= second.iterations + 5
 
 
 @pytest.mark.parametrize("scale", [1e-5, 1e-6, 1e-7, 1e-8])

@@ -20,7 +20,6 @@ from stress.starts.board import REPORTED, part, race, reported
 from stress.starts.systems import Start
 
 T = 40
-Expression = ca.SX
 _FREE = np.inf
 _NOTE = (
     f"Seeds from {REPORTED} on; no constant of the solver was chosen on these problems. {T} steps of Runge and Kutta's "
@@ -37,13 +36,13 @@ class Task:
     bounds. more: further fields of the OCP by s and u. price: of the final time.
     """
 
-    rates: Callable[[Expression, Expression], Expression]
-    end: Callable[[Expression], Expression]
+    rates: Callable[[ca.SX, ca.SX], ca.SX]
+    end: Callable[[ca.SX], ca.SX]
     near: list[float]
     far: list[float]
     actions: tuple[Any, Any]
     times: tuple[float, float] = (0.1, 50.0)
-    more: Callable[[Expression, Expression], Mapping[str, Any]] = field(default=lambda s, u: {})
+    more: Callable[[ca.SX, ca.SX], Mapping[str, Any]] = field(default=lambda s, u: {})
     price: float = 1.0
 
 
@@ -82,47 +81,47 @@ def problem_of(task: Task) -> OCP:
     )
 
 
-def _itself(s: Expression) -> Expression:
+def _itself(s: ca.SX) -> ca.SX:
     return s
 
 
-def _cart_pole(s: Expression, u: Expression) -> Expression:
+def _cart_pole(s: ca.SX, u: ca.SX) -> ca.SX:
     sine, cosine = ca.sin(s[1]), ca.cos(s[1])
     heavy = 1 + 0.3 * sine**2
     along = (u + 0.3 * sine * (s[3] ** 2 - 9.81 * cosine)) / heavy
     return ca.vertcat(s[2:], along, (1.3 * 9.81 * sine - u * cosine - 0.3 * s[3] ** 2 * cosine * sine) / heavy)
 
 
-def _quadrotor(s: Expression, u: Expression) -> Expression:
+def _quadrotor(s: ca.SX, u: ca.SX) -> ca.SX:
     lift = u[0] + u[1]
     return ca.vertcat(s[3:], -lift * ca.sin(s[2]), lift * ca.cos(s[2]) - 9.81, 5 * (u[0] - u[1]))
 
 
-def _crane(s: Expression, u: Expression) -> Expression:
+def _crane(s: ca.SX, u: ca.SX) -> ca.SX:
     """Place, rope, angle, and their rates."""
     swing = -(9.81 * ca.sin(s[2]) + u[0] * ca.cos(s[2]) + 2 * s[4] * s[5]) / s[1]
     return ca.vertcat(s[3:], u, swing)
 
 
-def _car(s: Expression, u: Expression) -> Expression:
+def _car(s: ca.SX, u: ca.SX) -> ca.SX:
     """Offset and heading from the middle of a winding road, speed, steering angle, way along the road."""
     bend = 0.15 * ca.sin(0.3 * s[4])
     along = s[2] * ca.cos(s[1]) / (1 - s[0] * bend)
     return ca.vertcat(s[2] * ca.sin(s[1]), s[2] / 2.5 * ca.tan(s[3]) - bend * along, u, along)
 
 
-def _grip(s: Expression, u: Expression) -> Mapping[str, Any]:
+def _grip(s: ca.SX, u: ca.SX) -> Mapping[str, Any]:
     sideways = s[2] ** 2 / 2.5 * ca.tan(s[3])
     limits = ([-1.5, -1, 1, -0.5, -_FREE], [1.5, 1, 20, 0.5, _FREE])
     return {"path_constraint": sideways**2 + u[0] ** 2 - 36, "state_bounds": limits}
 
 
-def _lander(s: Expression, u: Expression) -> Expression:
+def _lander(s: ca.SX, u: ca.SX) -> ca.SX:
     """Place and velocity in a plane above the moon, and mass, of which thrust takes its part."""
     return ca.vertcat(s[2:4], u[0] / s[4], u[1] / s[4] - 1.62, -0.02 * ca.sqrt(ca.sumsqr(u)))
 
 
-def _thrust(s: Expression, u: Expression) -> Mapping[str, Any]:
+def _thrust(s: ca.SX, u: ca.SX) -> Mapping[str, Any]:
     """Between a sixth of it and all; above a slope; and its fuel."""
     rows = ca.vertcat(ca.sumsqr(u) - 36, 1 - ca.sumsqr(u), s[0] - 2 * s[1] - 1, -s[0] - 2 * s[1] - 1)
     limits = ([-_FREE] * 4 + [0.3], [_FREE] * 5)
